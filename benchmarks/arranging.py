@@ -24,13 +24,13 @@ from cadenza.arranging.fidelity import pitch_classes
 from cadenza.arranging.moments import beats_of
 from cadenza.arranging.parts import sources_of
 from cadenza.errors import errors_in_a_line
+from cadenza.music.arrangement import LoadedSong
 from cadenza.music.formats.midi import score_of
 from cadenza.music.formats.midi_messages import parsed
 from cadenza.music.libraries.library import load_score
 from cadenza.music.performance import played_in
 from cadenza.music.score import OCTAVE, Note, Score
 from cadenza.performing.arranging import HandArrangement, arrange_song
-from cadenza.performing.loaded_song import LoadedSong
 from cadenza.performing.performance import perform
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up

@@ -12,7 +12,7 @@ import pytest
 
 from cadenza import load_song
 from cadenza.cli import main
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load
 from cadenza.music.etudes import KINDS, make_etude
 from cadenza.music.expression import performed
 from cadenza.music.expression_rules import ExpressionRules
@@ -21,7 +21,6 @@ from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.performing.arranging import arrange_song
-from cadenza.performing.loaded_song import load
 from cadenza.scene.scene import build_scene
 from refusals import refused, refused_in_a_line
 

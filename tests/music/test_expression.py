@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 from cadenza.errors import CadenzaError
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load_song
 from cadenza.music.etudes import make_etude
 from cadenza.music.expression import VELOCITY_PER_DECIBEL, performed
 from cadenza.music.expression_rules import ExpressionRules
@@ -337,16 +337,16 @@ def test_quantities_are_checked(value):
 
 
 def test_an_arrangement_with_expression_is_the_performed_score():
-    written = Arrangement().score("OdeToJoy")
+    written = load_song("OdeToJoy", Arrangement())
     dose, rules = 0.5, ExpressionRules(phrase_arch=3.0)
     expected = performed(written, dose, rules)
-    assert Arrangement(expression=dose, rules=rules).score("OdeToJoy") == expected
+    assert load_song("OdeToJoy", Arrangement(expression=dose, rules=rules)) == expected
     assert expected != performed(written, dose) != written
 
 
 def test_a_beginning_is_that_of_the_whole_performance():
-    whole = Arrangement(expression=1.0).score("OdeToJoy")
-    part = Arrangement(expression=1.0, first_seconds=5.0).score("OdeToJoy")
+    whole = load_song("OdeToJoy", Arrangement(expression=1.0))
+    part = load_song("OdeToJoy", Arrangement(expression=1.0, first_seconds=5.0))
     assert part == whole.beginning(5.0)
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load_song
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.source import MAX_BYTES
 from cadenza.music.libraries.library import load_score
@@ -218,8 +218,8 @@ def test_of_a_song_of_hours_the_beginning_can_be_played(saved):
     path = str(saved([on(60, 100_000), off(60, 100_000)]))
     advice = r"would last 83\.33 minutes; .* play its beginning with --first-seconds"
     with pytest.raises(CadenzaError, match=advice):
-        Arrangement().score(path)
-    assert Arrangement(first_seconds=2).score(path).notes == (Note(5000.0, 5002.0, 60),)
+        load_song(path, Arrangement())
+    assert load_song(path, Arrangement(first_seconds=2)).notes == (Note(5000.0, 5002.0, 60),)
 
 
 def test_files_that_are_no_songs(tmp_path):

@@ -5,11 +5,10 @@ from dataclasses import replace
 import pytest
 
 from cadenza.agents.planner.misses import foreseen_misses
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load
 from cadenza.music.etudes import make_etude
 from cadenza.music.score import Note, Score, Track, chords
 from cadenza.performing.arranging import arranged_for
-from cadenza.performing.loaded_song import load
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.augmentation import prepare_tracks
 from cadenza.tasks.config import TaskConfig

@@ -11,9 +11,8 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT, Finger
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, LoadedSong
 from cadenza.music.score import Note, PedalEvent, Score
-from cadenza.performing.loaded_song import LoadedSong
 from cadenza.performing.player import find_player
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig

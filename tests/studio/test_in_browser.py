@@ -17,7 +17,7 @@ import pytest
 
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load_song
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Note, Score
@@ -675,7 +675,7 @@ def test_a_song_is_played_with_expression_and_without_signs(browser, address, fo
     settings = json.loads((folder / id / "settings.json").read_text())
     assert settings["arrangement"]["expression"] == 1
     assert settings["arrangement"]["plain"]
-    wanted = Arrangement(expression=1.0).score("MaryHadALittleLamb").notes
+    wanted = load_song("MaryHadALittleLamb", Arrangement(expression=1.0)).notes
     midi = read_score(folder / id / "wanted.mid").notes
     assert [note.velocity for note in midi] == [note.velocity for note in wanted]
     assert "with expression" in browser.evaluate(

@@ -12,7 +12,7 @@ from cadenza.cli.saving import check_sheet, write_sheet
 from cadenza.errors import counted
 from cadenza.files import folder_name
 from cadenza.fingers import SIDES
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load
 from cadenza.music.formats.reading import SHEET, name_without_ending
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.setups import NamedSetup, setup_named
@@ -49,7 +49,6 @@ def default(chosen: Chosen) -> Arrange:
 def run(command: Arrange) -> None:
     from cadenza.fingering.difficulty import grade
     from cadenza.performing.arranging import arranged_for
-    from cadenza.performing.loaded_song import load
     from cadenza.scene.scene import build_scene
     from cadenza.tasks.config import TaskConfig
 

@@ -35,10 +35,13 @@ class Info:
 
 
 def info(command: Info) -> None:
+    from cadenza.music.libraries.library import find_song
+
     if command.song is None:
         _print_facts(_installation_facts())
         return
-    score = command.arrangement.score(command.song)
+    how = command.arrangement
+    score = how.performed(find_song(command.song).load(how.tracks, how.plain), command.song)
     _print_facts(_song_facts(score))
     if len(score.tracks) > 1:
         print("\n" + _table_of_tracks(score.tracks))

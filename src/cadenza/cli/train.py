@@ -22,7 +22,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.registry import module_of
 from cadenza.resumable import RateLimited
@@ -153,7 +153,6 @@ def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.problem import problem_of
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training, begin
-    from cadenza.performing.loaded_song import load
     from cadenza.performing.performance import play
     from cadenza.report.scalars import need_wandb
 

@@ -37,6 +37,7 @@ from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
+from cadenza.music.arrangement import load
 from cadenza.performing.performance import perform
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import set_up
@@ -112,8 +113,8 @@ def _train(
     run = RunFolder(folder)
     with claimed_cores(num_threads), run.locked():
         if not run.begun:
-            score = spec.arrangement.score(spec.song)
-            run.begin(config, [spec.arrangement.written_for(config.scene.hands, score)])
+            song = load(spec.song, spec.arrangement).written_for(config.scene.hands)
+            run.begin(config, [song.score])
         config, scores = run.settings()
         with closing(Training(problem_of(config, scores), run)) as training:
 

@@ -1,18 +1,21 @@
-"""Arrangements of songs. Imports nothing heavy: the command line shows its options."""
+"""Songs as they are played: which notes of them, and with how much expression.
+
+The command line shows the options, so that nothing heavy is imported.
+"""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import Literal
 
-from cadenza.configs import whole_number
-from cadenza.errors import CadenzaError
+from cadenza.configs import as_config, whole_number
+from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.fingers import SIDES
 from cadenza.music.expression_rules import ExpressionRules, check_quantities
+from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Score, check_beginning, check_length
-
-if TYPE_CHECKING:
-    from cadenza.music.libraries.songs import Song
 
 EASIEST, HARDEST = 1, 10  # the grades of difficulty
 
@@ -54,19 +57,6 @@ class Arrangement:
         if self.first_seconds is not None:
             check_beginning(self.first_seconds)
 
-    def score(self, song: str) -> Score:
-        """The score of `song`, a bundled song or a file, before it is arranged for any hands.
-
-        Raises CadenzaError if it cannot be read, has no such tracks, or lasts over an hour.
-        """
-        from cadenza.music.libraries.library import find_song
-
-        return self.performed(self.whole(find_song(song)), song)
-
-    def whole(self, song: Song) -> Score:
-        """The whole score of `song`; raises CadenzaError if it or its tracks cannot be read."""
-        return song.load(self.tracks, self.plain)
-
     def performed(self, score: Score, song: str) -> Score:
         """The part of a whole score that is played, with expression.
 
@@ -82,23 +72,6 @@ class Arrangement:
         check_length(music, f"{song}: the song", "; play its beginning with --first-seconds")
         return score
 
-    def written_for(self, hands: str, score: Score) -> Score:
-        """The notes of a song that are written for the hands that play: "right", "left" or both.
-
-        All are left with `all_notes`, for both hands, and where the song does not say. Raises
-        CadenzaError if nothing is written for the one hand that plays.
-        """
-        if hands not in SIDES or self.all_notes or not score.has_written_hands:
-            return score
-        hand = SIDES.index(hands)
-        notes = tuple(note for note in score.notes if hand in note.hands)
-        if not notes:
-            raise CadenzaError(
-                f"{score.title}: nothing is written for the {hands} hand; choose the other one, or "
-                "--all-notes to have it play what is written for the other"
-            )
-        return replace(score, notes=notes)
-
     @property
     def asks_for_hands(self) -> bool:
         """Whether the song is to be arranged for the hands even if they can play it as written."""
@@ -108,3 +81,78 @@ class Arrangement:
     def chosen(self) -> bool:
         """Whether anything of a song is left out or changed."""
         return self != Arrangement()
+
+
+SomeSong = str | Path | Song | Score
+
+
+@dataclass(frozen=True)
+class LoadedSong:
+    """A score, where it comes from, and the part of it that is played."""
+
+    name: str
+    """The name of the piece, the path of the file, or the title of a score."""
+    score: Score
+    arrangement: Arrangement = field(default_factory=Arrangement)
+    """The part of the song that the score has."""
+    written: Score | None = None
+    """The whole song without the expression that its score has, if that has any."""
+
+    def titled(self, title: str) -> LoadedSong:
+        """The song under another title."""
+        written = self.written and replace(self.written, title=title)
+        return replace(self, name=title, score=replace(self.score, title=title), written=written)
+
+    def written_for(self, hands: str) -> LoadedSong:
+        """The song with the notes that are written for these hands: "right", "left" or both.
+
+        All are left for both hands, with `Arrangement.all_notes`, and where the song does not say.
+        Raises CadenzaError if nothing is written for the one hand that plays.
+        """
+        if hands not in SIDES or self.arrangement.all_notes or not self.score.has_written_hands:
+            return self
+        hand = SIDES.index(hands)
+
+        def own(score: Score) -> Score:
+            return replace(score, notes=tuple(n for n in score.notes if hand in n.hands))
+
+        score = own(self.score)
+        if not score.notes:
+            raise CadenzaError(
+                f"{score.title}: nothing is written for the {hands} hand; choose the other one, or "
+                "--all-notes to have it play what is written for the other"
+            )
+        return replace(self, score=score, written=self.written and own(self.written))
+
+
+def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) -> LoadedSong:
+    """Load a song, see `load_song`, or a score, which is by default played as it is written.
+
+    What was repaired in it is a warning. Raises CadenzaError if there is no such song, it cannot be
+    read, has no such tracks, or lasts over an hour.
+    """
+    from cadenza.music.libraries.library import find_song
+
+    if isinstance(song, LoadedSong):
+        return song
+    if isinstance(song, Score):
+        return LoadedSong(song.title, song, arrangement or Arrangement(arrange="off"))
+    song, arrangement = find_song(song), arrangement or Arrangement()
+    written = song.load(arrangement.tracks, arrangement.plain)
+    score = arrangement.performed(written, song.name)
+    for remark in score.remarks:
+        warnings.warn(f"{song.name}: {remark}", CadenzaWarning, stacklevel=3)
+    return LoadedSong(song.name, score, arrangement, written if arrangement.expression else None)
+
+
+def load_song(song: str | Path | Song, arrangement: Arrangement | None = None) -> Score:
+    """Load the score of a song; what was repaired in it is a warning.
+
+    Raises CadenzaError if there is no such song, or it cannot be read.
+
+    Args:
+        song: the name of a piece, see `cadenza.songs`; the path of a MIDI or MusicXML file; or a
+            `Song` of a library.
+        arrangement: which notes of it; all by default.
+    """
+    return load(song, as_config(arrangement, Arrangement)).score

@@ -14,12 +14,11 @@ from cadenza.arranging.fidelity import Fate
 from cadenza.arranging.parts import sources_of
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, LoadedSong
 from cadenza.music.expression import performed_with_times
 from cadenza.music.metrics import expressive_metrics, step_metrics
 from cadenza.music.performance import played_in
 from cadenza.music.score import Note, Score
-from cadenza.performing.loaded_song import LoadedSong
 from cadenza.scene.scene import Scene
 from cadenza.tasks.augmentation import prepare_track
 from cadenza.tasks.config import TaskConfig

@@ -17,11 +17,11 @@ from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.errors import CadenzaError
 from cadenza.files import content_of, plain, read_json, write_json
 from cadenza.fingers import NO_FINGER, SIDES, Side
+from cadenza.music.arrangement import SomeSong
 from cadenza.music.formats.finger_numbers import finger_number
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import Score
-from cadenza.performing.loaded_song import SomeSong
 from cadenza.performing.player import SomeAgent, find_player
 from cadenza.performing.setup import Setup, set_up
 from cadenza.performing.verdict import Advice, advice, verdict

@@ -15,9 +15,9 @@ from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.files import TENSORS
 from cadenza.fingers import Finger
+from cadenza.music.arrangement import SomeSong
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
-from cadenza.performing.loaded_song import SomeSong
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import Setup, set_up

@@ -26,8 +26,7 @@ from cadenza.files import TENSORS
 from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
-from cadenza.music.arrangement import Arrangement
-from cadenza.performing.loaded_song import LoadedSong
+from cadenza.music.arrangement import Arrangement, LoadedSong
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 

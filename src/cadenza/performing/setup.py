@@ -12,11 +12,10 @@ from cadenza.agents.agent import Agent, Progress, silent
 from cadenza.agents.registry import options_name
 from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, quoted
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, LoadedSong, SomeSong, load
 from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.score import Score
 from cadenza.performing.arranging import HandArrangement, arranged_for
-from cadenza.performing.loaded_song import LoadedSong, SomeSong, load
 from cadenza.performing.player import Player
 from cadenza.scene.scene import build_scene
 from cadenza.sim.threads import MAX_THREADS

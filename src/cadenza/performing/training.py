@@ -12,9 +12,9 @@ from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import begin
+from cadenza.music.arrangement import SomeSong, load
 from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Score
-from cadenza.performing.loaded_song import SomeSong, load
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from cadenza.agents.registry import PLANNER, PLAYBACK
 from cadenza.agents.registry import PRACTISED as PLAN
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, write_json
+from cadenza.music.arrangement import LoadedSong, load
 from cadenza.music.score import Note, Score
-from cadenza.performing.loaded_song import LoadedSong, load
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import Setup, set_up

@@ -39,10 +39,9 @@ from cadenza.evaluation.run_status import (
 )
 from cadenza.keyboards.registry import keyboard_named
 from cadenza.learning.policy_folder import POLICY_FILE
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, load
 from cadenza.music.libraries.songs import Library
 from cadenza.music.score import Score
-from cadenza.performing.loaded_song import load
 from cadenza.performing.player import find_player
 from cadenza.performing.setup import Setup, set_up
 from cadenza.scene.config import SceneConfig
