@@ -101,6 +101,17 @@ def test_notes_are_kept_as_they_were_struck(tmp_path):
     assert played_in(again) == performance.played
 
 
+def test_what_was_played_has_the_title_and_the_bars_of_the_song(tmp_path):
+    performance = cadenza.play("FurEliseOpening", "random")
+    performance.save(tmp_path, page=False)
+    played, wanted = (read_midi(tmp_path / f"{name}.mid") for name in ("played", "wanted"))
+    assert played.title == wanted.title == performance.goal.title
+    begins = {round(bar.time, 3) for bar in performance.goal.bars}
+    for read in played, wanted:
+        assert {round(bar.time, 3) for bar in read.bars} >= begins
+    assert len(played.notes) == len(performance.played.notes)
+
+
 def test_configurations_are_taken_as_they_are():
     scene = SceneConfig(hands="left")
     performance = cadenza.play(TUNE, "zero", task=TaskConfig(stretch=2), scene=scene)

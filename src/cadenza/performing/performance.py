@@ -2,7 +2,7 @@
 
 import html
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,7 +19,7 @@ from cadenza.files import content_of, plain, read_json, write_json
 from cadenza.fingers import NO_FINGER, SIDES, Side
 from cadenza.music.arrangement import SomeSong
 from cadenza.music.formats.finger_numbers import finger_number
-from cadenza.music.formats.midi import write_midi
+from cadenza.music.formats.midi_sheet import write_midi_sheet
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import Score
 from cadenza.performing.player import SomeAgent, find_player
@@ -139,8 +139,9 @@ class Performance:
             write_json(folder / "misses.json", self.losses)
         if self.fates is not None:
             write_json(folder / "arrangement.json", [fate.as_json for fate in self.fates])
-        write_midi(played, folder / "played.mid")
-        write_midi(self.goal, folder / "wanted.mid")
+        heard = replace(self.goal, notes=played.notes, pedal=played.pedal)
+        write_midi_sheet(heard, folder / "played.mid")
+        write_midi_sheet(self.goal, folder / "wanted.mid")
         if page:
             progress("making the sound", 0, 1)
             write_page(folder / "report.html", self._page(folder, voice))
