@@ -22,9 +22,9 @@ from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.caveats import usable
 from cadenza.evaluation.results import BenchResults, Result, read_results
 from cadenza.evaluation.summary import run_metrics, summarize
+from cadenza.evaluation.summary_page import write_figure
 from cadenza.evaluation.tables import write_csv
 from cadenza.files import content_of
-from cadenza.report.summary_page import write_figure
 
 _ABOUT = ("title", "composer", "opus", "licence", "source")
 _FIGURES = {  # name -> decimals

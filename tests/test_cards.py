@@ -8,8 +8,8 @@ from huggingface_hub import ModelCard
 
 import cadenza
 from cadenza.cli import COMMANDS, GROUPS
+from cadenza.evaluation.summary import METRICS
 from cadenza.learning.policy_folder import POLICY_FILE, remarks_on
-from cadenza.report.bench_summary import METRICS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(cadenza.__file__).parent

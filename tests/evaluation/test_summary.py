@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.caveats import usable
 from cadenza.evaluation.results import read_results
-from cadenza.evaluation.summary import summarize
+from cadenza.evaluation.summary import METRICS, SHARES, BenchSummary, summarize
 from cadenza.evaluation.tables import write_tables
-from cadenza.report.bench_summary import METRICS, SHARES, BenchSummary
 from evaluation.made_up import result, write_bench, write_result
 
 
@@ -82,8 +80,7 @@ def test_rewards_for_different_fingers_stand_apart(tmp_path):
         write_result(tmp_path, agent, result("a", agent, 0, metrics))
     (line,) = caveats(tmp_path)[DIFFER]
     assert line == "a: rewarded_fingers: found in 1 run (learnt); score in 1 run (planner)"
-    found = read_results(tmp_path)
-    write_tables(tmp_path / "out", summary_of(tmp_path), usable(found))
+    write_tables(tmp_path / "out", summary_of(tmp_path))
     with (tmp_path / "out" / "runs.csv").open() as file:
         planner, learnt = sorted(csv.DictReader(file), key=lambda row: row["agent"], reverse=True)
     assert (planner["return, fingers: score"], planner["return, fingers: found"]) == ("5.0", "")
@@ -179,7 +176,7 @@ def test_all_figures_are_those_of_plain_loops(bench):
 def test_the_tables_have_the_same_figures(bench, tmp_path):
     found = read_results(bench)
     summary = summarize(found, "made up")
-    names = write_tables(tmp_path, summary, usable(found))
+    names = write_tables(tmp_path, summary)
     assert names == ["agents.csv", "pieces.csv", "runs.csv"]
     agents, pieces, runs = (
         list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in names
@@ -202,7 +199,7 @@ def test_the_tables_have_the_same_figures(bench, tmp_path):
 def test_what_is_not_known_is_an_empty_cell(tmp_path):
     write(tmp_path, {("a", "planner", 0): 0.5})
     found = read_results(tmp_path)
-    write_tables(tmp_path / "out", summarize(found, "made up"), usable(found))
+    write_tables(tmp_path / "out", summarize(found, "made up"))
     (row,) = csv.DictReader((tmp_path / "out" / "pieces.csv").read_text().splitlines())
     assert (row["f1"], row["f1_low"], row["recall"]) == ("0.5", "", "")
 

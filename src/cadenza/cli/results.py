@@ -13,7 +13,7 @@ from cadenza.cli.console import in_columns
 from cadenza.cli.saving import check_name, check_writable
 
 if TYPE_CHECKING:
-    from cadenza.report.bench_summary import BenchSummary
+    from cadenza.evaluation.summary import BenchSummary
 
 
 @dataclass(frozen=True)
@@ -33,20 +33,18 @@ class Results:
 
 
 def results(command: Results) -> None:
-    from cadenza.evaluation.caveats import usable
     from cadenza.evaluation.results import read_results
     from cadenza.evaluation.summary import summarize
+    from cadenza.evaluation.summary_page import summary_page, write_figure
     from cadenza.evaluation.tables import write_tables
     from cadenza.report.html_pages import write_page
-    from cadenza.report.summary_page import summary_page, write_figure
 
     folder = command.output or command.bench / "results"
     if command.figure:
         check_name(command.figure, ".svg", "the figure is an .svg picture")
-    runs = read_results(command.bench)
-    summary = summarize(runs, command.bench.resolve().name)
+    summary = summarize(read_results(command.bench), command.bench.resolve().name)
     check_writable(folder)
-    tables = write_tables(folder, summary, usable(runs))
+    tables = write_tables(folder, summary)
     index = folder / "index.html"
     write_page(index, summary_page(summary, folder, tables))
     if command.figure:
@@ -59,7 +57,7 @@ def results(command: Results) -> None:
 
 def in_text(summary: BenchSummary) -> str:
     """Return the table of agents for a terminal: means."""
-    from cadenza.report.bench_summary import HEADLINES, METRICS, interval_text, metric_text
+    from cadenza.evaluation.summary import HEADLINES, METRICS, interval_text, metric_text
 
     titles = [METRICS[name].title for name in HEADLINES]
     rows = [["", "pieces", "runs", titles[0], "95 % interval", *titles[1:]]]

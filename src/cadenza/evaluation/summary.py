@@ -1,28 +1,146 @@
-"""Sums up runs by agents and pieces."""
+"""Sums up runs by agents and pieces: what the page, its figure and the tables are made of."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.caveats import caveats, usable
-from cadenza.evaluation.results import PAGE, BenchResults, Result, Timing
+from cadenza.evaluation.jobs import SongFacts
+from cadenza.evaluation.results import BenchResults, Result, Timing
 from cadenza.evaluation.statistics import Scores, bootstrap_interval, mean, mean_interval
 from cadenza.music.score import MS_PER_SECOND
-from cadenza.report.bench_summary import (
-    METRICS,
-    SHARES,
-    AgentSummary,
-    BenchSummary,
-    Estimate,
-    Group,
-    PieceSummary,
-    RunSummary,
-)
+
+
+class Metric(NamedTuple):
+    """A measure of every run."""
+
+    title: str
+    decimals: int
+    meaning: str
+
+
+SHARES = {
+    "note_onset_f1": Metric(
+        "Note onset F1", 3, "Whole notes: found is what begins within 50 ms of its time."
+    ),
+    "f1": Metric(
+        "F1", 3, "The balance of precision and recall in each control step, mean over all steps."
+    ),
+    "pooled_f1": Metric("F1, pooled", 3, "As F1, with the keys of all steps counted together."),
+    "precision": Metric("Precision", 3, "Of the keys that sound, the share that should."),
+    "recall": Metric("Recall", 3, "Of the keys that should sound, the share that do."),
+}
+"""Metrics from 0 to 1, where 1 is perfect."""
+METRICS = SHARES | {
+    "extra_notes": Metric(
+        "Extra notes / 100",
+        1,
+        "Notes played for none that was written, for every hundred written: wrong ones, and those "
+        "more than 50 ms late or early.",
+    ),
+    "missed_notes": Metric(
+        "Missed notes / 100",
+        1,
+        "Written notes for which none was played within 50 ms, for every hundred written.",
+    ),
+    "onset_error": Metric(
+        "Onset error [ms]",
+        1,
+        "Notes: the median of how far their onsets are off, apart from the delay of all of them.",
+    ),
+    "velocity_error": Metric(
+        "Velocity error", 1, "Notes: how far their MIDI velocities are off, the mean."
+    ),
+    "wall_per_music": Metric(
+        "Wall time / music",
+        2,
+        "Seconds that a run took, with any training, for each second of music. It is longer where "
+        "other programs, or other runs, kept the cores busy.",
+    ),
+    "cpu_per_music": Metric(
+        "CPU time / music",
+        2,
+        "Seconds that all threads of a run computed, for each second of music; not known of "
+        "policies that were trained first.",
+    ),
+    "power": Metric("Energy / music [W]", 1, "Of all actuators, for each second of music."),
+}
+"""Metrics of a run; NaN stands for one that is not known."""
+
+HEADLINES = ("note_onset_f1", "f1", "pooled_f1", "wall_per_music")  # metrics that are printed
+
+
+class Estimate(NamedTuple):
+    """A value and its 95 % interval, numbers or arrays.
+
+    The interval is NaN where there is none, as with a single seed or where every seed gave the
+    same.
+    """
+
+    value: Any
+    low: Any
+    high: Any
+
+
+class RunSummary(NamedTuple):
+    """The run of an agent at a piece."""
+
+    piece: int  # index of the piece
+    agent: str  # its name in the summary
+    metrics: Mapping[str, float]  # value of each of `METRICS`
+    result: Result
+
+
+@dataclass(frozen=True)
+class AgentSummary:
+    """Results of an agent on a number of pieces."""
+
+    pieces: int
+    runs: int
+    mean: Mapping[str, Estimate]  # the mean of each of `METRICS`: numbers
+
+
+@dataclass(frozen=True)
+class Group:
+    """Pieces that are summed up together."""
+
+    name: str
+    pieces: Sequence[int]  # indices of the pieces
+    agents: Mapping[str, AgentSummary]  # every agent that played any of them
+
+
+@dataclass(frozen=True)
+class BenchSummary:
+    """Pieces, the agents that played them, and how well."""
+
+    title: str
+    pieces: Sequence[SongFacts]  # with the length of the music that was played
+    agents: Sequence[str]  # ordered by how many pieces they played, and then by how well
+    runs: Sequence[RunSummary]
+    # The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run
+    by_piece: Mapping[str, Estimate]
+    groups: Sequence[Group]  # the first is that of all pieces
+    # Reasons to be careful with comparisons: a line, and its cases
+    caveats: Sequence[tuple[str, Sequence[str]]]
+
+
+def metric_text(name: str, value: float) -> str:
+    """Return the value of one of `METRICS` as text; a dash if it is not known."""
+    return "–" if math.isnan(value) else f"{value:z.{METRICS[name].decimals}f}".replace("-", "−")
+
+
+def interval_text(name: str, estimate: Estimate) -> str:
+    """Return both ends of the interval as text; nothing if there is none."""
+    if math.isnan(estimate.low):
+        return ""
+    return f"{metric_text(name, estimate.low)}–{metric_text(name, estimate.high)}"
+
 
 AllScores = Mapping[str, Mapping[str, Scores]]
 """Agent -> metric -> scores (runs, pieces), NaN where a piece has fewer runs."""
@@ -36,7 +154,10 @@ def summarize(bench: BenchResults, title: str) -> BenchSummary:
     pieces = {result.song.name: _piece(result) for result in results}
     index = {name: i for i, name in enumerate(pieces)}
     names = _agent_names([result.agent for result in results])
-    runs = [_run(result, names, index[result.song.name]) for result in results]
+    runs = [
+        RunSummary(index[r.song.name], names[r.agent], run_metrics(r.metrics, r.timing), r)
+        for r in results
+    ]
     of_agent = {
         agent: {
             name: _scores([r for r in runs if r.agent == agent], name, len(pieces))
@@ -57,15 +178,13 @@ def summarize(bench: BenchResults, title: str) -> BenchSummary:
     )
 
 
-def _piece(result: Result) -> PieceSummary:
+def _piece(result: Result) -> SongFacts:
     song = result.song
     library = song.library or "other pieces"
-    return PieceSummary(
-        name=song.name,
+    return replace(
+        song,
         title=song.title or song.name,
-        composer=song.composer,
         library=f"{library}:{song.split}" if song.split else library,
-        difficulty=math.nan if song.difficulty is None else song.difficulty,
         seconds=result.timing.music_seconds,
         notes=song.notes or 0,
     )
@@ -78,17 +197,6 @@ def _agent_names(agents: Iterable[str]) -> dict[str, str]:
     if len(set(short.values())) == len(short):
         names |= {agent: "/".join(parts) for agent, parts in short.items()}
     return names
-
-
-def _run(result: Result, names: Mapping[str, str], piece: int) -> RunSummary:
-    page = result.folder / PAGE
-    return RunSummary(
-        piece=piece,
-        agent=names[result.agent],
-        seed=result.seed,
-        metrics=run_metrics(result.metrics, result.timing),
-        page=page if page.exists() else None,
-    )
 
 
 def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
@@ -147,7 +255,7 @@ def _of_each_piece(scores: Scores, metric: str) -> tuple[Scores, Scores, Scores]
     return value, low.clip(0), high.clip(max=1 if metric in SHARES else math.inf)
 
 
-def _groups(pieces: Sequence[PieceSummary], scores: AllScores) -> Iterator[Group]:
+def _groups(pieces: Sequence[SongFacts], scores: AllScores) -> Iterator[Group]:
     """Yield all pieces, those that all agents played if they are fewer, and several libraries."""
     libraries: dict[str, list[int]] = {}
     for i, piece in enumerate(pieces):

@@ -10,20 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.evaluation.results import Result
+from cadenza.evaluation.summary import METRICS, BenchSummary, Estimate
 from cadenza.files import write_atomically
-from cadenza.report.bench_summary import METRICS, BenchSummary, Estimate
 
 _ABOUT_A_PIECE = ("piece", "title", "composer", "library", "difficulty", "seconds", "notes")
 _FINGER_REWARDS = ("return", "reward/fingering")
 Row = Mapping[str, Any]
 
 
-def write_tables(folder: Path, summary: BenchSummary, results: Sequence[Result]) -> list[str]:
+def write_tables(folder: Path, summary: BenchSummary) -> list[str]:
     """Write agents.csv, pieces.csv and runs.csv; return their names."""
     tables = {
         "agents": list(_agents(summary)),
         "pieces": list(_pieces(summary)),
-        "runs": list(_runs(summary, results, folder)),
+        "runs": list(_runs(summary, folder)),
     }
     for name, rows in tables.items():
         write_csv(folder / f"{name}.csv", rows)
@@ -55,11 +55,12 @@ def _pieces(summary: BenchSummary) -> Iterator[Row]:
                 yield row
 
 
-def _runs(summary: BenchSummary, results: Sequence[Result], folder: Path) -> Iterator[Row]:
+def _runs(summary: BenchSummary, folder: Path) -> Iterator[Row]:
     """Yield the metrics of every run, and all else that was measured."""
-    measured = list(dict.fromkeys(name for result in results for name in result.metrics))
-    for run, result in zip(summary.runs, results, strict=True):
-        row = {"piece": summary.pieces[run.piece].name, "agent": run.agent, "seed": run.seed}
+    measured = list(dict.fromkeys(name for run in summary.runs for name in run.result.metrics))
+    for run in summary.runs:
+        result = run.result
+        row = {"piece": summary.pieces[run.piece].name, "agent": run.agent, "seed": result.seed}
         row |= {name: run.metrics[name] for name in METRICS}
         row |= {
             _column(name, result): result.metrics.get(name)

@@ -10,14 +10,9 @@ from urllib.parse import quote
 import numpy as np
 
 from cadenza.errors import counted
-from cadenza.report.bench_summary import (
-    METRICS,
-    BenchSummary,
-    Estimate,
-    PieceSummary,
-    interval_text,
-    metric_text,
-)
+from cadenza.evaluation.jobs import SongFacts
+from cadenza.evaluation.results import PAGE
+from cadenza.evaluation.summary import METRICS, BenchSummary, Estimate, interval_text, metric_text
 from cadenza.report.html_pages import render, write_page
 
 _ABOUT = "Piece", "Library", "Difficulty", "Seconds", "Notes"  # columns of a table of pieces
@@ -42,8 +37,8 @@ def summary_page(
 
     Addresses are relative to its folder, in which `downloads` are files.
     """
-    seeds = sorted({run.seed for run in summary.runs})
-    seconds = math.fsum(piece.seconds for piece in summary.pieces)
+    seeds = sorted({run.result.seed for run in summary.runs})
+    seconds = math.fsum(piece.seconds or 0.0 for piece in summary.pieces)
     several = len(summary.pieces) > 1
     return render(
         "summary.html",
@@ -70,12 +65,13 @@ def summary_page(
 
 def _rows(
     summary: BenchSummary, folder: Path
-) -> Iterator[tuple[PieceSummary, str, list[tuple[int, str | None]], dict[str, Estimate]]]:
+) -> Iterator[tuple[SongFacts, str, list[tuple[int, str | None]], dict[str, Estimate]]]:
     """Yield each piece and agent, the seeds and pages of its runs, and its means over them."""
     runs: dict[tuple[int, str], list[tuple[int, str | None]]] = {}
     for run in summary.runs:
-        page = None if run.page is None else _address(run.page, folder)
-        runs.setdefault((run.piece, run.agent), []).append((run.seed, page))
+        page = run.result.folder / PAGE
+        shown = _address(page, folder) if page.exists() else None
+        runs.setdefault((run.piece, run.agent), []).append((run.result.seed, shown))
     for i, piece in enumerate(summary.pieces):
         for j, agent in enumerate(summary.agents):
             if own := runs.get((i, agent)):

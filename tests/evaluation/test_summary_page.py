@@ -11,8 +11,8 @@ import pytest
 
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.summary import summarize
+from cadenza.evaluation.summary_page import summary_page, write_figure
 from cadenza.report.html_pages import write_page
-from cadenza.report.summary_page import summary_page, write_figure
 from evaluation.made_up import AGENTS, result, write_bench, write_result
 from headless import Browser, needs_chromium
 
