@@ -35,7 +35,7 @@ from cadenza.fingers import SIDES
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.kinematics import Kinematics, Links
+from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
@@ -44,6 +44,7 @@ from cadenza.tasks.goal_track import players_of
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 from numbered import finger
+from watched import watched
 
 TASK = TaskConfig(initial_buffer_time=0.5)
 SHIPPED = Path(generalist.__file__).parent / "shadow.npz"
@@ -333,15 +334,9 @@ def test_half_a_second_begins_with_what_the_one_before_found_for_it(monkeypatch)
 
 
 def test_rehearses_only_what_goes_wrong(monkeypatch):
-    simulated: list[int] = []
-    rehearse = HandRehearsal.rehearse
-
-    def noted(self: HandRehearsal, *given: Any) -> int:
-        simulated.append(rehearse(self, *given))
-        return simulated[-1]
-
-    monkeypatch.setattr(HandRehearsal, "rehearse", noted)
+    rehearsed = watched(monkeypatch, HandRehearsal, "rehearse")
     play(Score((Note(0.0, 1.0, 64, 80), Note(3.0, 4.0, 64, 80))), Generalist(REHEARSED))
+    simulated = [steps for _, steps in rehearsed]
     assert len(simulated) == 2 * 10  # by either hand, once for each half second
     once = 24  # steps, with what comes soon after
     assert sum(steps > once for steps in simulated) <= 4  # in which a strike is refined
@@ -381,24 +376,21 @@ def test_rehearses_with_hands_that_it_has_not_learnt_with():
 # What cannot be
 
 
-def test_hand_that_it_has_not_learnt_with():
-    task = PianoTask([load_score("OdeToJoy")], TASK, SceneConfig(hand="allegro"))
-    with pytest.raises(CadenzaError, match="has not learnt to play with hand allegro"):
-        play_episode(task, Generalist(CORRECTED), 0)
+OTHER_SERVOS = SceneConfig(reduced_action_space=not SceneConfig.reduced_action_space)
 
 
-def test_hand_with_other_servos():
-    scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
+@pytest.mark.parametrize(
+    ("scene", "config", "message"),
+    [
+        (SceneConfig(hand="allegro"), CORRECTED, "has not learnt to play with hand allegro"),
+        (OTHER_SERVOS, CORRECTED, "leave out options that change the hands"),
+        (OTHER_SERVOS, GeneralistConfig(str(SHIPPED)), "has learnt with hands of 19 servos"),
+    ],
+)
+def test_hands_that_it_has_not_learnt_with(scene, config, message):
     task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
-    with pytest.raises(CadenzaError, match="leave out options that change the hands"):
-        play_episode(task, Generalist(CORRECTED), 0)
-
-
-def test_own_weights_of_other_hands():
-    scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
-    task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
-    with pytest.raises(CadenzaError, match="has learnt with hands of 19 servos") as raised:
-        play_episode(task, Generalist(GeneralistConfig(str(SHIPPED))), 0)
+    with pytest.raises(CadenzaError, match=message) as raised:
+        play_episode(task, Generalist(config), 0)
     assert "\n" not in str(raised.value)
 
 
@@ -513,23 +505,17 @@ def receding_planner(task: PianoTask) -> RecedingPlanner:
 
 
 def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch):
-    work: list[int] = []
-    links = Kinematics.links
-
-    def noted(self: Kinematics, postures: Array) -> Links:
-        work[-1] += len(postures)
-        return links(self, postures)
-
     notes = tuple(Note(i / 8, (i + 1) / 8, WHITE[i % 8], 80) for i in range(160))
     task = PianoTask([Score(notes)], TASK)
     (track,) = task.tracks
     in_sight = receding_planner(task)
     tips = task.state.fingertip_xpos[0]  # astray most of the time
     in_sight.replan(0, track.goals.keys[:11], {}, tips)
-    monkeypatch.setattr(Kinematics, "links", noted)
+    linked, work = watched(monkeypatch, Kinematics, "links"), list[int]()
     for step in range(1, 380):
-        work.append(0)
+        linked.clear()
         in_sight.replan(step, track.goals.keys[step : step + 11], {}, tips)
+        work.append(sum(len(postures) for (_, postures), _ in linked))
     task.close()
     assert 0 < max(work) <= 8 * 12
     assert sum(work[-30:]) < 1.5 * sum(work[20:50])

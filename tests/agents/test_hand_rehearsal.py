@@ -1,15 +1,13 @@
 """A hand rehearses a second of its plan before it plays it."""
 
-from typing import Any
-
 import numpy as np
 from one_hand import DT, OneHand
 
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search import hand_rehearsal
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
-from cadenza.agents.planner.search.rollouts import Rollout, roll_out
 from cadenza.music.libraries.library import load_score
+from watched import watched
 
 OFF = 0.03  # [m] of the forearm's controls
 
@@ -51,16 +49,11 @@ def test_a_plan_that_works_is_rolled_out_once_and_goes_as_rehearsed():
 def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch):
     hand = Rehearsed("TwinkleTwinkleLittleStar")
     hand.go_astray()
-    rollouts = list[Rollout]()
-
-    def recorded(*args: Any, **options: Any) -> Rollout:
-        rollouts.append(roll_out(*args, **options))
-        return rollouts[-1]
-
-    monkeypatch.setattr(hand_rehearsal, "roll_out", recorded)
+    rolled_out = watched(monkeypatch, hand_rehearsal, "roll_out")
     hand.rehearse()
-    assert rollouts[0].mistakes > 0
-    assert min(rollout.mistakes for rollout in rollouts) < rollouts[0].mistakes / 2
+    first, *others = (rollout.mistakes for _, rollout in rolled_out)
+    assert first > 0
+    assert min(others) < first / 2
     assert not np.array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:10])
 
 

@@ -20,16 +20,11 @@ from cadenza.fingers import Side
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from melodies import BUFFER, melody
 from numbered import finger
 
-BUFFER = TaskConfig(initial_buffer_time=0.5)
 HORIZON = 7  # steps
-
-
-def melody(*pitches: int, length: float = 0.4) -> Score:
-    return Score(tuple(Note(i * length, (i + 1) * length, p) for i, p in enumerate(pitches)))
 
 
 def octaves(side: Side, white: int, black: int, length: float) -> Score:

@@ -1,7 +1,5 @@
 """The candidate that networks compute for the planner's search."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -17,6 +15,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from watched import watched
 
 TASK = TaskConfig(initial_buffer_time=0.5)
 STEPS = 7
@@ -63,15 +62,8 @@ def test_proposes_what_the_generalist_plays(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def proposed(monkeypatch):
-    """The steps from which on networks have proposed something."""
-    steps, controls = list[int](), NetworkCandidate.controls
-
-    def noted(self: NetworkCandidate, trials: HandRollouts, step: int, *given: Any) -> Any:
-        steps.append(step)
-        return controls(self, trials, step, *given)
-
-    monkeypatch.setattr(NetworkCandidate, "controls", noted)
-    return steps
+    """What networks have proposed."""
+    return watched(monkeypatch, NetworkCandidate, "controls")
 
 
 def test_search_begins_with_what_is_proposed(proposed):

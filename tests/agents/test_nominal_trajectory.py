@@ -1,7 +1,6 @@
 """Plans of whole songs in windows, controls that follow them, and how rollouts correct those."""
 
 import tracemalloc
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan import nominal_trajectory
-from cadenza.agents.planner.plan.inverse_kinematics import solve_postures
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner
 from cadenza.agents.planner.plan.tracking import Tracking, discretised, track
 from cadenza.agents.planner.planner import Planner
@@ -21,6 +19,7 @@ from cadenza.scene.scene import build_scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.piano_task import PianoTask
 from melodies import BUFFER, COARSER, FINER, melody, whole_plan
+from watched import watched
 
 
 @pytest.fixture
@@ -54,17 +53,10 @@ def test_windows_plan_what_the_whole_song_at_once_does(request):
 
 @pytest.mark.usefixtures("short_windows")
 def test_windows_begin_with_what_was_found_for_the_same_steps(monkeypatch):
-    begins, improved = [], []
-
-    def spied(*given: Any) -> np.ndarray:
-        guess, begin = given[2], given[6]
-        found = solve_postures(*given)
-        begins.append(begin - guess)
-        improved.append(found - guess)
-        return found
-
-    monkeypatch.setattr(nominal_trajectory, "solve_postures", spied)
+    solved = watched(monkeypatch, nominal_trajectory, "solve_postures")
     whole_plan(melody(*[64, 79, 67, 84, 72, 71] * 3, length=0.3))
+    begins = [given[6] - given[2] for given, _ in solved]
+    improved = [found - given[2] for given, found in solved]
     assert len(begins) > 2
     assert not begins[0].any()
     overlap = 30  # steps

@@ -9,16 +9,17 @@ import pytest
 import cadenza
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.planner.search import hand_search
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.music.libraries.library import load_score
-from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
+from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.piano_task import PianoTask
 from melodies import BUFFER, COARSER, FINER, melody
 from numbered import finger
+from watched import watched
 
 
 def perform(
@@ -66,11 +67,6 @@ def test_black_keys_and_chords_with_the_full_hand():
     assert play_episode(task, Planner()).metrics["recall"] > 0.7
 
 
-def test_the_pedal_follows_the_score():
-    pedal = (PedalEvent(0.2, 127), PedalEvent(0.7, 0))
-    assert perform(replace(melody(60, 62), pedal=pedal)).metrics["sustain_f1"] == 1.0
-
-
 def test_same_bits_for_any_number_of_threads_and_of_environments():
     score = Score((Note(0.0, 0.15, 60), Note(0.15, 0.35, 84)))  # too far, so that it samples
     agent = Planner()
@@ -104,13 +100,7 @@ def test_episodes_of_several_songs_end_when_their_songs_do():
 
 def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch):
     """The simulations that it plans with are never put right while nothing is disturbed."""
-    placed = []
-    place = hand_search.PlanningSimulation.set_joints
-    monkeypatch.setattr(
-        hand_search.PlanningSimulation,
-        "set_joints",
-        lambda self, *state: placed.append(1) or place(self, *state),
-    )
+    placed = watched(monkeypatch, PlanningSimulation, "set_joints")
     perform(melody(60, 64, 67, 72))
     assert len(placed) <= 1
 
@@ -138,12 +128,6 @@ def test_fingers_of_the_score_are_taken_on_request():
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
     assert [press.finger for press in agent.planners[0].plan.nominal.presses] == [2, 1]
-
-
-@pytest.mark.parametrize("options", [{"num_candidates": 1}, {"iterations": 0}, {"horizon": -1.0}])
-def test_options_without_sense_are_refused(options):
-    with pytest.raises(CadenzaError, match=next(iter(options))):
-        Planner(PlannerConfig(**options))  # type: ignore[arg-type]
 
 
 def test_a_piano_without_hands_is_refused():

@@ -40,6 +40,8 @@ from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import Threads
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from refusals import refused
+from watched import watched
 
 QUICK = TaskConfig(initial_buffer_time=0.4)
 EFFORT = 0.06
@@ -282,10 +284,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     assert straight.plan.nominal.presses != at_sight.nominal.presses
     assert_plays_as_it_says(straight, score)
     left, within = practice(2, score=score, config=config), set[bool]()
-    followed, follow = list[bool](), PlannedVariant.follow
-    monkeypatch.setattr(
-        PlannedVariant, "follow", lambda *args: followed.append(True) or follow(*args)
-    )
+    followed = watched(monkeypatch, PlannedVariant, "follow")
     while not left.run(effort, on_and_off(5)):
         within.add(left.plays_variant)
         left = restored(practice(2, score=score, config=config), left, tmp_path)
@@ -302,10 +301,7 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
         fingering="score", num_candidates=4, iterations=1, horizon=0.1, proposals="none"
     )
     straight = practice(score=JUMPS, config=with_search, seed=1)
-    restart, restarted = HandsInScene.restart, list[Any]()
-    monkeypatch.setattr(
-        HandsInScene, "restart", lambda *args: restarted.append(args) or restart(*args)
-    )
+    restarted = watched(monkeypatch, HandsInScene, "restart")
     straight.run(0.3)
     assert restarted
     done = False
@@ -348,17 +344,10 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(monkeypatch
     left = practice(score=late)
     while not left.state().get("sweep/first"):
         left.run(2.0, on_and_off(1))
-    made: list[int] = []
-    roll_out = WholeScene.roll_out
-
-    def rolling_out(*args: Any, **options: Any) -> Any:
-        played, snapshots = roll_out(*args, **options)
-        made.extend(snapshots)
-        return played, snapshots
-
     again = practice(score=late)
-    monkeypatch.setattr(WholeScene, "roll_out", rolling_out)
+    rollouts = watched(monkeypatch, WholeScene, "roll_out")
     restored(again, left, tmp_path)
+    made = {step for _, (_, snapshots) in rollouts for step in snapshots}
     assert min(made) == left.state()["sweep/first"]
 
 
@@ -475,9 +464,8 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
     before = (tmp_path / "hard" / "practice.safetensors").read_bytes()
     main(["practice", "--resume", "../hard", "--effort", "0.05", *quick[:2]])
     assert (tmp_path / "hard" / "practice.safetensors").read_bytes() != before
-    with pytest.raises(SystemExit):
-        main(["play", "OdeToJoy", "--agent", "../hard"])
-    assert "../hard: has practised 'hard', and can play nothing else" in capsys.readouterr().err
+    said = refused(capsys, "play", "OdeToJoy", "--agent", "../hard")
+    assert "../hard: has practised 'hard', and can play nothing else" in said
     main(["play", "../hard.mid", "--agent", "../hard", "-o", "played", *quick[:2]])  # the same song
 
 
@@ -503,23 +491,15 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(tmp_
 
 @pytest.mark.parametrize("practised_folder", ["both"], indirect=True)
 def test_practised_hands_that_are_pushed_search_as_the_planner_does(practised_folder, monkeypatch):
-    def restarted(self: HandsInScene, *arguments: Any) -> None:
-        searches.append(self)
-        restart(self, *arguments)
-
-    searches: list[HandsInScene] = []
-    restart = HandsInScene.restart
     folder, _ = practised_folder
     noise = DomainRandomization(control_noise=0.1)
     noisy = TaskConfig(initial_buffer_time=0.4, repeats="shortened", randomization=noise)
-    monkeypatch.setattr(HandsInScene, "restart", restarted)
+    searches = watched(monkeypatch, HandsInScene, "restart")
     cadenza.play(agent=folder)
     assert not searches
-    pushed, actions = (
-        cadenza.play(agent=folder, task=noisy),
-        load_plan(folder / "plan.safetensors").actions,
-    )
+    pushed = cadenza.play(agent=folder, task=noisy)
     assert searches
+    actions = load_plan(folder / "plan.safetensors").actions
     open_loop = play_episode(PianoTask([HARD], noisy), Playback(actions))
     assert pushed.metrics["f1"] > open_loop.metrics["f1"]
 
@@ -533,12 +513,6 @@ def test_another_song_than_the_practised_one_is_told(practised):
     one_hand = PianoTask([HARD], QUICK, SceneConfig(hands="right"))
     with pytest.raises(CadenzaError, match="for other hands"):
         play_episode(one_hand, hands)
-
-
-def test_effort_is_refused_for_what_was_practised(begun_folder, capsys):
-    with pytest.raises(SystemExit):
-        main(["play", "--agent", str(begun_folder), "--planner.effort", "1"])
-    assert "leave out --planner.effort" in capsys.readouterr().err
 
 
 def test_the_planner_practises_in_the_folder_of_what_it_plays(tmp_path, capsys):
@@ -558,12 +532,6 @@ def test_the_planner_practises_in_the_folder_of_what_it_plays(tmp_path, capsys):
         ours, theirs = (read(each / name) for each in (folder, tmp_path / "played"))
         for array in ours.keys() - {"metrics", "song"}:
             np.testing.assert_array_equal(ours[array], theirs[array])
-
-
-def test_practice_without_noise_only(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        folder_of(tmp_path, "--randomization.control-noise", "0.05")
-    assert "hands practise with the nominal model" in capsys.readouterr().err
 
 
 def test_practice_that_was_killed_has_its_plan_after_the_first_take(tmp_path, monkeypatch):
@@ -645,32 +613,33 @@ def test_what_is_finished_after_the_effort_is_shown_until_its_end():
     assert done.progress(0.002) == ("practising", 100, 100)
 
 
-def test_a_folder_that_does_not_say_how_it_was_practised(begun_folder, tmp_path, capsys):
-    folder = shutil.copytree(begun_folder, tmp_path / "practised")
-    for name in ("practice.json", "settings.json"):
-        (folder / name).unlink()
-    with pytest.raises(SystemExit):
-        main(["practice", "--resume", str(folder)])
-    assert "run the same command again that practised there" in capsys.readouterr().err
-
-
-def test_episodes_that_end_early_cannot_be_practised(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        folder_of(tmp_path, "--wrong-press-termination")
-    assert "cadenza: --wrong-press-termination: a song that ends" in capsys.readouterr().err
-
-
-def test_another_song_in_the_folder_is_told(begun_folder, tmp_path, capsys):
-    write_midi(EASY, tmp_path / "easy.mid")
-    with pytest.raises(SystemExit):
-        main(["practice", str(tmp_path / "easy.mid"), "-o", str(begun_folder)])
-    assert "is the practice of another song" in capsys.readouterr().err
-
-
-def test_one_practice_at_a_time_in_a_folder(tmp_path, capsys):
-    with locked(tmp_path / "practised"), pytest.raises(SystemExit):
-        folder_of(tmp_path)
-    assert "somebody practises there" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["play", "--agent", "BEGUN", "--planner.effort", "1"], "leave out --planner.effort"),
+        (["practice", "easy.mid", "-o", "BEGUN"], "is the practice of another song"),
+        (
+            ["practice", "easy.mid", "--randomization.control-noise", "0.05"],
+            "hands practise with the nominal model",
+        ),
+        (
+            ["practice", "easy.mid", "--wrong-press-termination"],
+            "--wrong-press-termination: a song that ends",
+        ),
+        (["practice", "easy.mid", "-o", "taken"], "somebody practises there"),
+        (["practice", "--resume", "silent"], "run the same command again that practised there"),
+    ],
+)
+def test_practice_that_cannot_be_is_refused(
+    words, said, begun_folder, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    write_midi(EASY, Path("easy.mid"))
+    told = shutil.ignore_patterns("practice.json", "settings.json")  # how it was practised
+    shutil.copytree(begun_folder, "silent", ignore=told)
+    with locked(tmp_path / "taken"):
+        given = [begun_folder if word == "BEGUN" else word for word in words]
+        assert said in refused(capsys, *given)
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path, monkeypatch):

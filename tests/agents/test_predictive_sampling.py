@@ -12,7 +12,6 @@ from cadenza.agents.baselines import predictive_sampling
 from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.planner.config import ILQGConfig, PredictiveSamplingConfig
-from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
@@ -20,7 +19,9 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 from numbered import finger
+from watched import watched
 
 STEP = 0.05  # [s]
 CHORD = Score(tuple(Note(0.0, 1.0, 72 + 2 * i, finger=finger(i)) for i in range(1, 4)))
@@ -46,36 +47,14 @@ def test_the_defaults_are_the_figures_of_the_paper():
     assert config.budget is None  # what is played depends on the seed alone
 
 
-class Rollouts:
-    """What was tried, and what came of it."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.timesteps: set[float] = set()
-        self.states: list[State] = []
-        self.costs: list[np.ndarray] = []
-        roll_out, plan = PlanningSimulation.rollout, SamplingPlanner.costs
-
-        def rolled(simulation: PlanningSimulation, ctrl: np.ndarray) -> State:
-            assert simulation.num_substeps == 1
-            self.timesteps.add(simulation.scene.model.opt.timestep)
-            self.states.append(roll_out(simulation, ctrl))
-            return self.states[-1]
-
-        def planned(planner: SamplingPlanner, *args: Any) -> np.ndarray:
-            self.costs.append(plan(planner, *args))
-            return self.costs[-1]
-
-        monkeypatch.setattr(PlanningSimulation, "rollout", rolled)
-        monkeypatch.setattr(SamplingPlanner, "costs", planned)
-
-
 def test_a_plan_costs_the_distance_of_keys_and_the_mean_distance_of_fingers(
     right_hand, monkeypatch
 ):
-    tried = Rollouts(monkeypatch)
+    rolled_out = watched(monkeypatch, PlanningSimulation, "rollout")
+    planned = watched(monkeypatch, SamplingPlanner, "costs")
     agent = PredictiveSampling(PredictiveSamplingConfig(num_candidates=2))
     agent.act(begun(agent, right_hand).view())
-    (states,), (costs,) = tried.states, tried.costs
+    ((_, states),), ((_, costs),) = rolled_out, planned
     assert states.key_qpos.shape == (2, 20, 88)  # a fifth of a second
     assert_allclose(costs, [cost_of(states, i, right_hand) for i in range(2)])
 
@@ -103,56 +82,50 @@ def cost_of(states: State, i: int, scene: Scene, smooth: tuple[float, float] = (
 def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
     right_hand, monkeypatch
 ):
-    tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner.line_search
-
-    def searched(planner: ILQGPlanner, *args: Any) -> Any:
-        controls, cost = search(planner, *args)
-        costs.append(cost - 1e-9 / 2 * ((controls - planner.rest) ** 2).sum(axis=(1, 2)))
-        return controls, cost
-
-    monkeypatch.setattr(ILQGPlanner, "line_search", searched)
+    rolled_out = watched(monkeypatch, PlanningSimulation, "rollout")
+    searched = watched(monkeypatch, ILQGPlanner, "line_search")
     agent = ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2, control_weight=1e-9))
     agent.act(begun(agent, right_hand).view())
-    (states,) = tried.states
-    assert_allclose(costs[0], [cost_of(states, i, right_hand, (0.1, 0.01)) for i in range(3)])
+    ((_, states),), (((planner, *_), (controls, cost)),) = rolled_out, searched
+    cost = cost - 1e-9 / 2 * ((controls - planner.rest) ** 2).sum(axis=(1, 2))
+    assert_allclose(cost, [cost_of(states, i, right_hand, (0.1, 0.01)) for i in range(3)])
 
 
 @pytest.mark.parametrize(
     "agent", [PredictiveSampling(), ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2))]
 )
 def test_plans_in_physics_steps_of_10_ms(right_hand, agent, monkeypatch):
-    tried = Rollouts(monkeypatch)
+    rolled_out = watched(monkeypatch, PlanningSimulation, "rollout")
     agent.act(begun(agent, right_hand).view())
-    assert tried.timesteps == {0.01}
+    for (simulation, _), _ in rolled_out:
+        assert (simulation.num_substeps, simulation.scene.model.opt.timestep) == (1, 0.01)
     assert right_hand.model.opt.timestep == 0.005  # of the performance
 
 
 def test_candidates_lie_sigma_around_the_best(right_hand, monkeypatch):
     """In radians, whatever the range of a servo; metres, of forearms."""
-    drawn: list[np.ndarray] = []
-    monkeypatch.setattr(
-        PlanningSimulation, "rollout", lambda _, ctrl: drawn.append(ctrl) or _stop()
-    )
+    drawn = list[np.ndarray]()
+
+    def costs(_: SamplingPlanner, tried: np.ndarray, __: View) -> np.ndarray:
+        drawn.append(tried)
+        return np.arange(len(tried))
+
+    monkeypatch.setattr(SamplingPlanner, "costs", costs)
     agent = PredictiveSampling(PredictiveSamplingConfig(num_candidates=500))
     task = begun(agent, right_hand)
-    with pytest.raises(StopIteration):
-        agent.act(task.view())
+    agent.act(task.view())
     low, high = task.spec.action_low[:-1], task.spec.action_high[:-1]
-    best, *others = drawn[0][:, 0]  # in the first step
+    best, *others = drawn[0][:, 0]  # at the first knot
     far = np.minimum(best - low, high - best) > 0.2  # from the limits
     assert far.sum() > 5
     assert_allclose(np.std(np.array(others) - best, axis=0)[far], 0.05, rtol=0.15)
 
 
-def _stop() -> None:
-    raise StopIteration
-
-
 def test_iterations_never_make_a_plan_worse(right_hand, monkeypatch):
-    tried = Rollouts(monkeypatch)
+    planned = watched(monkeypatch, SamplingPlanner, "costs")
     agent = PredictiveSampling(PredictiveSamplingConfig(iterations=8))
     agent.act(begun(agent, right_hand).view())
-    best = [cost.min() for cost in tried.costs]
+    best = [costs.min() for _, costs in planned]
     assert len(best) == 8
     assert all(after <= before for before, after in pairwise(best))
     assert best[-1] < best[0]
@@ -195,9 +168,3 @@ def test_a_budget_of_time_ends_the_search(right_hand, monkeypatch, budget, secon
         task.step(agent.act(task.view()))
         done.append(clock.iterations - before)
     assert done == iterations
-
-
-@pytest.mark.parametrize("budget", [-1.0, float("inf"), float("nan")])
-def test_a_budget_that_makes_no_sense_is_refused(budget):
-    with pytest.raises(CadenzaError, match=f"budget {budget}: choose 0 to"):
-        PredictiveSampling(PredictiveSamplingConfig(budget=budget))

@@ -16,8 +16,10 @@ from cadenza.errors import CadenzaError
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import hand_alone
+from melodies import melody
+from watched import watched
 
-SONG = Score(tuple(Note(0.4 * i, 0.4 * i + 0.4, p) for i, p in enumerate((60, 62, 64, 65))))
+SONG = melody(60, 62, 64, 65)
 STEPS = 40
 HELD = slice(37, 40)  # steps in which the last note sounds
 
@@ -67,9 +69,7 @@ def test_it_goes_back_where_a_note_goes_wrong_and_no_more_often_than_it_may(monk
     out_of_reach = Score(
         tuple(Note(0.2 * i, 0.2 * i + 0.2, (45, 88)[i % 2]) for i in range(8)),
     )
-    hand, went_back = OneHand(out_of_reach), []
-    restore = HandSearch.restore
-    monkeypatch.setattr(HandSearch, "restore", lambda *a: went_back.append(1) or restore(*a))
+    hand, went_back = OneHand(out_of_reach), watched(monkeypatch, HandSearch, "restore")
     play(hand, ahead_of(hand), range(STEPS))
     windows = STEPS / 10
     most = search_ahead.RESTARTS + windows * search_ahead.RESTARTS_PER_WINDOW

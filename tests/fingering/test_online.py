@@ -1,18 +1,17 @@
 """Fingers that are found as notes come in sight."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
 from cadenza.fingering import online as module
 from cadenza.fingering.online import OnlineFingering
-from cadenza.fingering.search import Stage, next_stage
 from cadenza.fingers import Finger
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from players import find_fingering, shadow_hands
+from watched import watched
 
 
 def show(sight: OnlineFingering, *notes: Note) -> list[int]:
@@ -102,13 +101,7 @@ def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later():
 
 
 def test_its_work_does_not_grow_with_the_song(monkeypatch):
-    moments: list[float] = []
-
-    def noted(before: Stage, time: float, *others: Any) -> Stage:
-        moments.append(time)
-        return next_stage(before, time, *others)
-
-    monkeypatch.setattr(module, "next_stage", noted)
+    moments = watched(monkeypatch, module, "next_stage")
     sight, work = OnlineFingering(shadow_hands()), []
     for beat in range(160):
         time, pitch = beat / 4, (60, 64, 67, 72)[beat % 4]

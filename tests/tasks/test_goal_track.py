@@ -18,6 +18,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.tasks import goal_track
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from watched import watched
 
 CONFIG = TaskConfig(initial_buffer_time=0.33)
 SONG = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch) for i, pitch in enumerate((60, 64, 67))))
@@ -32,11 +33,7 @@ def begun(song: Score, **options: object) -> PianoTask:
 
 
 def test_all_share_the_goals_of_a_song(monkeypatch):
-    made = []
-    real = goal_track.score_to_goals
-    monkeypatch.setattr(
-        goal_track, "score_to_goals", lambda *args: made.append(args) or real(*args)
-    )
+    made = watched(monkeypatch, goal_track, "score_to_goals")
     task = begun(SONG, hands="right")
     plan = plan_song(task.view().tracks[1], task.state.hand_qpos[1])
     GoalTable(task.spec, task.tracks)
