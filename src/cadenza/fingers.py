@@ -1,4 +1,4 @@
-"""Fingers of hands, and their places in arrays.
+"""Fingers of hands, their places in arrays, and their numbers in files.
 
 Scores have `Finger`s. Arrays have a place for each finger of both hands of a scene's kind, the
 right hand's first and from the thumb on, whichever hands there are; `Fingers` numbers the places.
@@ -6,10 +6,11 @@ right hand's first and from the thumb on, whichever hands there are; `Fingers` n
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, quoted
 
 Side = Literal["right", "left"]
 SIDES: tuple[Side, ...] = ("right", "left")  # sides in the order of fingers, joints and actions
@@ -81,3 +82,33 @@ class Fingers:
     def hand_of(self, number: Any) -> Any:
         """The hand, 0 right or 1 left, of a number or an array of numbers without `NO_FINGER`."""
         return number // self.per_hand
+
+
+_IN_FILES = Fingers(per_hand=5)
+_LETTERS = "".join(side[0].upper() for side in SIDES)
+_COUNTED = re.compile(rf"([{_LETTERS}])([1-9][0-9]?)")
+
+
+def finger_number(finger: Finger | None) -> int | str:
+    """The number of a finger in files.
+
+    0..4 are the right hand's thumb to little finger, 5..9 the left hand's, and -1 none or an
+    unknown one. Of hands with more fingers, R6 is the sixth of the right, L7 the seventh of the
+    left.
+    """
+    if finger is not None and finger.index >= _IN_FILES.per_hand:
+        return f"{_LETTERS[finger.hand]}{finger.index + 1}"
+    return _IN_FILES.number(finger)
+
+
+def finger_from(text: int | str) -> Finger | None:
+    """The finger with this number in files, None for unknown; raises CadenzaError for no finger."""
+    text = str(text)
+    if re.fullmatch(f"{NO_FINGER}|[0-9]", text):
+        return _IN_FILES.finger(int(text))
+    if counted := _COUNTED.fullmatch(text):
+        return Finger(_LETTERS.index(counted[1]), int(counted[2]) - 1)
+    raise CadenzaError(
+        f"there is no finger {quoted(text)}; right hand 0-4, left hand 5-9, -1 unknown; beyond the "
+        "fifth finger of a hand R6, L6 and so on"
+    )

@@ -17,8 +17,7 @@ from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
 from cadenza.music.libraries.library import load_score, open_library
-from cadenza.music.libraries.pig import published_name
-from cadenza.music.libraries.pig_dataset import import_pig, read_fingered
+from cadenza.music.libraries.pig import import_pig, published_name, read_fingered
 from cadenza.music.score import Note, Score
 from music_strategies import monophonic_per_key, scores
 from mutations import at_most_refused, other_bytes
@@ -366,7 +365,7 @@ def test_a_killed_import_leaves_nothing_half(dataset, data, again):
         import_pig(dataset)
     code = (
         "import sys, time; from pathlib import Path\n"
-        "from cadenza.music.libraries.pig_dataset import *\n"
+        "from cadenza.music.libraries.pig import *\n"
         "def wait(done, total):\n    if done == 2: print('two', flush=True); time.sleep(60)\n"
         "import_pig(Path(sys.argv[1]), True, wait)"
     )

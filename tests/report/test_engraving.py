@@ -15,8 +15,7 @@ from cadenza.music.etudes.library import make_etude
 from cadenza.music.libraries.library import load_score
 from cadenza.music.notation.sheet import sheet_of
 from cadenza.music.score import Bar, Note, Score
-from cadenza.report.engraver import engraving_within
-from cadenza.report.engraving import engraved, engraving_of
+from cadenza.report.engraving import engraved, engraving_of, engraving_within
 from cadenza.report.sheet_pdf import write_pdf
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -10,7 +10,7 @@ from made_up_episode import make_episode
 
 from cadenza.episode import Episode
 from cadenza.music.score import Note, Score
-from cadenza.report.engraver import engraving_within
+from cadenza.report.engraving import engraving_within
 from cadenza.report.html_pages import asset, write_page
 from cadenza.report.performance_page import performance_page
 

@@ -6,8 +6,7 @@ import pytest
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
-from cadenza.report.sound import SAMPLE_RATE, synthesize, write_sound
-from cadenza.report.sound_font import font_tone
+from cadenza.report.sound import SAMPLE_RATE, font_tone, synthesize, write_sound
 from sound_font import sine_font
 
 SCORE = Score((Note(0.25, 1, 60), Note(0.5, 1, 67)))

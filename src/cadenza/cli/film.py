@@ -40,7 +40,7 @@ class Film:
 def run(command: Film) -> None:
     from cadenza.cli.saving import film
     from cadenza.performing.filming import Look
-    from cadenza.report.sound_font import voice_of
+    from cadenza.report.sound import voice_of
 
     look = Look(*command.size, command.camera, command.score, command.start, command.seconds)
     film(command.folder, voice_of(command.sound_font), command.output, look)

@@ -39,8 +39,7 @@ def run(command: Import) -> None:
     from cadenza.fingering.difficulty import grade
     from cadenza.music.libraries.folder import import_folder
     from cadenza.music.libraries.library import check_is_free, open_library
-    from cadenza.music.libraries.pig import TWELVE, etudes_among
-    from cadenza.music.libraries.pig_dataset import import_pig
+    from cadenza.music.libraries.pig import TWELVE, etudes_among, import_pig
 
     source, again = command.source, command.replace
     if command.kind == "pig" and command.name is not None:

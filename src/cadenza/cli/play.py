@@ -51,7 +51,7 @@ class PlayCommand(Options):
 def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
     from cadenza.performing.player import find_player
-    from cadenza.report.sound_font import voice_of
+    from cadenza.report.sound import voice_of
 
     player = find_player(command.agent, command.song, configs=command.configs, plan=command.plan)
     command = read(task=player.task, scene=player.scene)

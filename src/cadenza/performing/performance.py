@@ -16,9 +16,8 @@ from cadenza.arranging.fidelity import Fate
 from cadenza.episode import KEY_EVENTS, Episode
 from cadenza.errors import CadenzaError
 from cadenza.files import content_of, plain, read_json, write_json
-from cadenza.fingers import NO_FINGER, SIDES, Side
+from cadenza.fingers import NO_FINGER, SIDES, Side, finger_number
 from cadenza.music.arrangement import SomeSong
-from cadenza.music.formats.finger_numbers import finger_number
 from cadenza.music.formats.midi_sheet import write_midi_sheet
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import Score

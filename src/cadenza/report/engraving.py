@@ -2,21 +2,29 @@
 
 Verovio engraves. Of its drawings remain shapes, glyphs and texts: glyphs are shared by all systems,
 and only the groups of notes are kept, to be coloured.
+
+`python -m cadenza.report.engraving` reads a score on stdin, as `WrittenScore` has it, and prints
+what `engraving_of` makes of it, so that nothing need wait for that.
 """
 
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
+from tempfile import TemporaryFile
 from xml.etree.ElementTree import Element, fromstring, tostring
 from xml.sax.saxutils import escape, quoteattr
 
 from cadenza.errors import CadenzaError
-from cadenza.files import write_atomically
+from cadenza.files import parsed_json, write_atomically
 from cadenza.music.formats.musicxml_writing import musicxml_of
+from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.notation.sheet import Sheet, sheet_of
 from cadenza.music.score import Score
 from cadenza.report.html_pages import COMPACT, packed_text
@@ -286,3 +294,58 @@ def _outline(letter: str) -> str:
     """Return the outline of a letter of the music font, which comes with Verovio."""
     glyph = resources.files("verovio").joinpath("data", _MUSIC_FONT, f"{ord(letter):X}.xml")
     return fromstring(glyph.read_text("utf-8"))[0].get("d", "")
+
+
+# In a process
+
+_NICENESS = 5  # behind what plays
+_MAX_KEPT = 4  # engravings
+
+
+class Engraver:
+    """The engraving of a score, which takes up to seconds."""
+
+    def __init__(self, score: Score) -> None:
+        """Begin to engrave a score."""
+        self._output = TemporaryFile()  # noqa: SIM115  # closed with this
+        command = [sys.executable, "-P", "-m", "cadenza.report.engraving"]
+        with TemporaryFile() as file:
+            file.write(json.dumps(asdict(WrittenScore.of(score))).encode())
+            file.seek(0)
+            self._process = subprocess.Popen(command, stdin=file, stdout=self._output)
+
+    def __del__(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def engraving(self, patience: float = 0.0) -> str | None:
+        """Return the engraving; "" where there is none, None if not yet after `patience` [s]."""
+        try:
+            failed = self._process.wait(patience) != 0
+        except subprocess.TimeoutExpired:
+            return None
+        self._output.seek(0)
+        return "" if failed else self._output.read().decode()
+
+
+@lru_cache(_MAX_KEPT)
+def engraving_within(patience: float, score: Score) -> str:
+    """Engraving of a score, see `Engraver`; the last ones are kept, as songs are played again.
+
+    Raises TimeoutError if it takes longer than `patience` [s].
+    """
+    engraving = Engraver(score).engraving(patience)
+    if engraving is None:
+        raise TimeoutError
+    return engraving
+
+
+def main() -> None:
+    """Engrave the score on stdin."""
+    os.nice(_NICENESS)
+    written = parsed_json(sys.stdin.buffer.read(), WrittenScore, "score")
+    sys.stdout.write(engraving_of(written.score))
+
+
+if __name__ == "__main__":
+    main()

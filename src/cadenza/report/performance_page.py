@@ -11,7 +11,7 @@ import numpy as np
 from cadenza.configs import flat
 from cadenza.episode import Episode
 from cadenza.music.score import Score
-from cadenza.report.engraver import engraving_within
+from cadenza.report.engraving import engraving_within
 from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
 from cadenza.report.sound import Samples, bit_rate_of, encode_opus

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.episode import Episode
-from cadenza.music.formats.finger_numbers import finger_from
+from cadenza.fingers import finger_from
 from cadenza.music.metrics import matched_notes
 from cadenza.music.performance import SAME_NOTE, played_in
 from cadenza.music.score import MS_PER_SECOND, Note, Score

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from cadenza.music.signs.conventions import NOTES_A_SECOND
+from cadenza.music.signs import NOTES_A_SECOND
 from cadenza.music.signs.notes import (
     Arpeggio,
     Grace,

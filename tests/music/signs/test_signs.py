@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cadenza.music.signs.conventions import LONG_FERMATA
+from cadenza.music.signs import LONG_FERMATA
 from cadenza.music.signs.loudness import Dynamic, Hairpin, Loudness, Sforzato
 from cadenza.music.signs.tempo_map import (
     Caesura,

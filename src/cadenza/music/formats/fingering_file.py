@@ -19,8 +19,7 @@ from pathlib import Path
 
 from cadenza.errors import CadenzaError, errors_in, quoted
 from cadenza.files import content_of, number_in, whole_number_in, write_atomically
-from cadenza.fingers import Finger
-from cadenza.music.formats.finger_numbers import finger_from, finger_number
+from cadenza.fingers import Finger, finger_from, finger_number
 from cadenza.music.formats.source import decoded
 from cadenza.music.score import MAX_SCORE_LENGTH, MIDI_PITCHES, Score
 

@@ -15,14 +15,15 @@ import mido
 
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import write_atomically
-from cadenza.music.formats.general_midi import INSTRUMENTS, SUSTAIN
 from cadenza.music.formats.midi_channels import Channel
 from cadenza.music.formats.midi_messages import (
+    INSTRUMENTS,
     KEY,
     LONGEST,
     METRE,
     NAME,
     NOTE_ON,
+    SUSTAIN,
     TEMPO,
     TEXT,
     Message,

@@ -9,7 +9,7 @@ from math import inf
 from operator import itemgetter
 from typing import NamedTuple
 
-from cadenza.music.formats.general_midi import (
+from cadenza.music.formats.midi_messages import (
     ANY_TIME,
     BANK,
     CHANNELS,
@@ -20,9 +20,10 @@ from cadenza.music.formats.general_midi import (
     RESET,
     ROLAND,
     VOLUME,
+    WHEEL,
     YAMAHA,
+    Message,
 )
-from cadenza.music.formats.midi_messages import WHEEL, Message
 from cadenza.music.repair import RawNote
 from cadenza.music.score import PEDAL_DOWN
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 
-from cadenza.music.formats.general_midi import ALL_OFF, RESET, SOFT, SOSTENUTO, SUSTAIN
 from cadenza.music.formats.midi_channels import (
     ALL,
     SETTINGS,
@@ -16,12 +15,17 @@ from cadenza.music.formats.midi_channels import (
     setting_of,
 )
 from cadenza.music.formats.midi_messages import (
+    ALL_OFF,
     CONTROL,
     NAME,
     NOTE_OFF,
     NOTE_ON,
     PORT,
     PROGRAM,
+    RESET,
+    SOFT,
+    SOSTENUTO,
+    SUSTAIN,
     SYSEX,
     WHEEL,
     Message,

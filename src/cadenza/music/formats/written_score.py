@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cadenza.music.formats.finger_numbers import finger_from, finger_number
+from cadenza.fingers import finger_from, finger_number
 from cadenza.music.score import Bar, Note, PedalEvent, Score, Track
 
 

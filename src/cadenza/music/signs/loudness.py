@@ -7,7 +7,7 @@ from fractions import Fraction
 from operator import itemgetter
 
 from cadenza.music.score import LOUDEST, SOFTEST
-from cadenza.music.signs.conventions import HAIRPIN_STEP, OPEN_HAIRPIN, SFORZATO
+from cadenza.music.signs import HAIRPIN_STEP, OPEN_HAIRPIN, SFORZATO
 
 _GOAL_WITHIN = Fraction(1)  # [quarters] after a hairpin within which a dynamic is its goal
 

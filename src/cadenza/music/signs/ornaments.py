@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.score import NATURALS, OCTAVE
-from cadenza.music.signs.conventions import GRACE_LENGTH, NOTES_A_SECOND
+from cadenza.music.signs import GRACE_LENGTH, NOTES_A_SECOND
 from cadenza.music.signs.notes import (
     Chord,
     Grace,

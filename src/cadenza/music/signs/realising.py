@@ -9,7 +9,7 @@ from itertools import zip_longest
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import check_end
-from cadenza.music.signs.conventions import (
+from cadenza.music.signs import (
     ACCENT,
     ARPEGGIO_STEP,
     BREATH,

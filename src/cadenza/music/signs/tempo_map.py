@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.music.signs.conventions import (
+from cadenza.music.signs import (
     ACCELERANDO,
     CAESURA,
     FERMATA,

@@ -15,7 +15,7 @@ from cadenza.music.formats.musicxml.timeline import (
     length_of,
     number,
 )
-from cadenza.music.signs.conventions import CHORALE_FERMATA, FERMATA, LONG_FERMATA, SHORT_FERMATA
+from cadenza.music.signs import CHORALE_FERMATA, FERMATA, LONG_FERMATA, SHORT_FERMATA
 from cadenza.music.signs.tempo_map import (
     Caesura,
     Fermata,
