@@ -27,6 +27,12 @@ if TYPE_CHECKING:
 _SEPARATORS = r"[/\\_,=]|\.(?=[^\W\d])"  # a line may be broken after each; not within 1.5
 
 
+PLAYING = (
+    *("elements.js", "recording.js", "rows.js", "flat.js", "falling.js", "camera.js"),
+    *("software.js", "stage.js", "chart.js", "arrangement.js", "explanations.js", "roll.js"),
+    *("controls.js", "score.js"),
+)
+"""Scripts of the pages that play, the report and the studio's."""
 COMPACT: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False}
 """Arguments of `json.dumps` for the data in a page."""
 

@@ -12,17 +12,12 @@ from cadenza.configs import flat
 from cadenza.episode import Episode
 from cadenza.music.score import Score
 from cadenza.report.engraving import engraving_within
-from cadenza.report.html_pages import render
+from cadenza.report.html_pages import PLAYING, render
 from cadenza.report.recording import recording_of
 from cadenza.report.sound import Samples, bit_rate_of, encode_opus
 
 STYLES = ("uplot.min.css", "page.css", "chart.css", "score.css")
-SCRIPTS = (
-    *("elements.js", "recording.js", "rows.js", "flat.js", "falling.js", "camera.js"),
-    *("software.js", "stage.js"),
-    *("chart.js", "arrangement.js", "explanations.js", "roll.js", "rewards.js"),
-    *("expression.js", "controls.js", "score.js", "film.js", "page.js"),
-)
+SCRIPTS = (*PLAYING, "rewards.js", "expression.js", "film.js", "page.js")
 _HEADLINES = {
     "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
     "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),

@@ -18,23 +18,9 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from cadenza.errors import CadenzaError
-from cadenza.report.html_pages import asset, rendered
+from cadenza.report.html_pages import PLAYING, asset, rendered
 from cadenza.studio.address import Address, announce, read_address, write_address
 
-_SHARED = (  # scripts, of reports as well
-    *(
-        "elements.js",
-        "recording.js",
-        "rows.js",
-        "flat.js",
-        "falling.js",
-        "camera.js",
-        "software.js",
-        "stage.js",
-        "chart.js",
-    ),
-    *("arrangement.js", "explanations.js", "roll.js", "controls.js", "score.js"),
-)
 _OWN = (
     *("requests.js", "instrument.js", "keyboard.js", "stream.js", "library.js", "player.js"),
     *("performances.js", "background.js", "studio.js"),
@@ -58,7 +44,7 @@ def page() -> str:
 
 @cache
 def _scripts() -> str:
-    parts = [*map(asset, _SHARED), *map(_own, _OWN)]
+    parts = [*map(asset, PLAYING), *map(_own, _OWN)]
     return '"use strict";(async () => {\n' + "\n".join(parts) + "\n})();\n"
 
 
