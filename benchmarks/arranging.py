@@ -32,8 +32,7 @@ from cadenza.music.performance import played_in
 from cadenza.music.score import OCTAVE, Note, Score
 from cadenza.performing.arranging import HandArrangement, arrange_song
 from cadenza.performing.performance import perform
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import set_up
+from cadenza.performing.setup import find_player, set_up
 from cadenza.scene.scene import build_scene
 
 IN_TIME = 0.08  # [s] within which a note of melody or bass counts as played

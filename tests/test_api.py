@@ -23,8 +23,7 @@ from cadenza.music.formats.fingering_file import read_fingering
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.performance import played_in
 from cadenza.performing.performance import perform
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import set_up
+from cadenza.performing.setup import find_player, set_up
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 
 ROOT = Path(__file__).parents[1]

@@ -10,8 +10,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import Setup, set_up
+from cadenza.performing.setup import Setup, find_player, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 

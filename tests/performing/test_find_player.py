@@ -13,7 +13,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import LEFT, RIGHT, Finger
 from cadenza.music.arrangement import Arrangement, LoadedSong
 from cadenza.music.score import Note, PedalEvent, Score
-from cadenza.performing.player import find_player
+from cadenza.performing.setup import find_player
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 

@@ -13,8 +13,7 @@ from cadenza.agents.registry import PLANNER, make_agent
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import set_up
+from cadenza.performing.setup import find_player, set_up
 from cadenza.studio.messages import JSON, ROWS, WireMessage
 from cadenza.studio.state_stream import StateStream
 from cadenza.tasks.config import TaskConfig

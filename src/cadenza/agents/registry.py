@@ -1,6 +1,6 @@
 """The names of agents. Imports nothing heavy: the command line shows them.
 
-Policies and practised songs are folders, see `cadenza.performing.player`.
+Policies and practised songs are folders, see `cadenza.performing.setup`.
 """
 
 from __future__ import annotations

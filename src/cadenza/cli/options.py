@@ -22,8 +22,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.setups import NamedSetup, setup_named
 
 if TYPE_CHECKING:
-    from cadenza.performing.player import Player
-    from cadenza.performing.setup import Setup
+    from cadenza.performing.setup import Player, Setup
 
 Command = TypeVar("Command", bound="Options")
 Read = Callable[..., Command]

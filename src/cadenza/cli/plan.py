@@ -48,7 +48,7 @@ class PlanCommand(Options):
 def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     from cadenza.performing.performance import perform
     from cadenza.performing.planning import fingering_of, plan_of
-    from cadenza.performing.player import find_player
+    from cadenza.performing.setup import find_player
 
     if command.output is not None:
         check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")

@@ -50,7 +50,7 @@ class PlayCommand(Options):
 
 def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
-    from cadenza.performing.player import find_player
+    from cadenza.performing.setup import find_player
     from cadenza.report.sound import voice_of
 
     player = find_player(command.agent, command.song, configs=command.configs, plan=command.plan)

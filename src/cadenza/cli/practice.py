@@ -70,7 +70,7 @@ class PracticeCommand(Options):
 def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
     from cadenza.agents.planner.config import ENOUGH
     from cadenza.performing.performance import check_replaceable
-    from cadenza.performing.player import find_player
+    from cadenza.performing.setup import find_player
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("give a song to practise, or the folder of practice with --resume")
@@ -100,7 +100,7 @@ def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
 
 def _with_robot(command: PracticeCommand, robot: str) -> None:
     """Practise with a robot, print how each play was heard, and keep them all."""
-    from cadenza.performing.player import find_player
+    from cadenza.performing.setup import find_player
     from cadenza.performing.with_robot import practise, save
 
     planner = replace(command.configs[PLANNER], effort=command.effort or 0.0)
@@ -124,7 +124,7 @@ def _resumed(
     Raises CadenzaError if the folder does not say how it was practised, or that cannot be read.
     """
     from cadenza.agents.planner.config import PlannerConfig
-    from cadenza.performing.player import PRACTISED_HOW
+    from cadenza.performing.setup import PRACTISED_HOW
 
     where = folder / PRACTISED_HOW
     settings = read_json(where, dict[str, Any]) if where.exists() else {}

@@ -39,8 +39,7 @@ from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.arrangement import load
 from cadenza.performing.performance import perform
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import set_up
+from cadenza.performing.setup import find_player, set_up
 from cadenza.sim.threads import cpu_seconds
 
 

@@ -21,8 +21,7 @@ from cadenza.music.arrangement import SomeSong
 from cadenza.music.formats.midi_sheet import write_midi_sheet
 from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import Score
-from cadenza.performing.player import SomeAgent, find_player
-from cadenza.performing.setup import Setup, set_up
+from cadenza.performing.setup import Setup, SomeAgent, find_player, set_up
 from cadenza.performing.verdict import Advice, advice, verdict
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page

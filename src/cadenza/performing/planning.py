@@ -19,8 +19,7 @@ from cadenza.music.arrangement import SomeSong
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
 from cadenza.performing.performance import Performance, perform
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import Setup, set_up
+from cadenza.performing.setup import Setup, find_player, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 

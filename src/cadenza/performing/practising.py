@@ -17,8 +17,7 @@ from cadenza.agents.rollout import begin_episodes
 from cadenza.errors import CadenzaError
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
-from cadenza.performing.player import PRACTICE, PRACTISED_HOW
-from cadenza.performing.setup import Setup
+from cadenza.performing.setup import PRACTICE, PRACTISED_HOW, Setup
 from cadenza.resumable import RateLimited, ResumableFolder
 from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import Threads

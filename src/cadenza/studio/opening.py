@@ -8,8 +8,7 @@ import os
 import sys
 
 from cadenza.agents.registry import PLANNER
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import set_up
+from cadenza.performing.setup import find_player, set_up
 from cadenza.studio.state_stream import StateStream
 
 _NICENESS = 4  # the process that plays gets ready beside it

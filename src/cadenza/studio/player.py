@@ -27,8 +27,7 @@ from cadenza.files import parsed_json, write_json
 from cadenza.music.arrangement import LoadedSong, load
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import Performance, perform
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import Setup, set_up
+from cadenza.performing.setup import Setup, find_player, set_up
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import IDLE, Send, WireMessage, json_message
 from cadenza.studio.request import (

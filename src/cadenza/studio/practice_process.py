@@ -13,8 +13,8 @@ from cadenza.agents.planner.config import ENOUGH
 from cadenza.agents.registry import PRACTISED
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json
-from cadenza.performing.player import PRACTICE
 from cadenza.performing.practising import Practising, practice_folder
+from cadenza.performing.setup import PRACTICE
 from cadenza.resumable import RateLimited
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import Send, WireMessage, json_message

@@ -24,8 +24,7 @@ from cadenza.music.libraries.benchmark import BENCHMARK
 from cadenza.music.libraries.imported import is_imported
 from cadenza.music.libraries.library import LIBRARIES, open_library
 from cadenza.music.libraries.songs import Library, Song, song_named
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import Setup, set_up
+from cadenza.performing.setup import Setup, find_player, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig

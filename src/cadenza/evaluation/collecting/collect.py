@@ -42,8 +42,7 @@ from cadenza.learning.policy_folder import POLICY_FILE
 from cadenza.music.arrangement import Arrangement, load
 from cadenza.music.libraries.songs import Library
 from cadenza.music.score import Score
-from cadenza.performing.player import find_player
-from cadenza.performing.setup import Setup, set_up
+from cadenza.performing.setup import Setup, find_player, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import cpu_seconds
