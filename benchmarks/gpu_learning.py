@@ -29,8 +29,8 @@ from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import begin
-from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import load_score
+from cadenza.music.libraries.songs import songs
 from cadenza.music.score import Score
 from cadenza.scene.config import Engine, SceneConfig
 from cadenza.tasks.piano_task import PianoTask

@@ -36,9 +36,9 @@ from cadenza.learning.imitation import Imitation
 from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.policy_folder import load_policy
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.folder import unique
 from cadenza.music.libraries.library import load_score, open_library
+from cadenza.music.libraries.songs import songs
 from cadenza.tasks.piano_task import PianoTask
 
 FIRST = "FurEliseOpening"

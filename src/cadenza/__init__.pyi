@@ -13,10 +13,10 @@ from cadenza.learning.learnt_policy import LearntPolicy as LearntPolicy
 from cadenza.learning.policy_folder import load_policy as load_policy
 from cadenza.music.arrangement import Arrangement as Arrangement
 from cadenza.music.arrangement import load_song as load_song
-from cadenza.music.libraries.bundled import songs as songs
 from cadenza.music.libraries.library import open_library as open_library
 from cadenza.music.libraries.songs import Library as Library
 from cadenza.music.libraries.songs import Song as Song
+from cadenza.music.libraries.songs import songs as songs
 from cadenza.music.score import Note as Note
 from cadenza.music.score import PedalEvent as PedalEvent
 from cadenza.music.score import Score as Score

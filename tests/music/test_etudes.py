@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
 from cadenza.music.etudes import KINDS, etude_names, make_etude
-from cadenza.music.etudes.harmony import progression
-from cadenza.music.etudes.keys import Key
+from cadenza.music.etudes.harmony import Key, progression
 from cadenza.music.goals import score_to_goals
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import PITCHES, Score

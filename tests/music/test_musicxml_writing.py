@@ -17,8 +17,8 @@ from cadenza.fingers import Finger
 from cadenza.music.etudes.library import KINDS, make_etude
 from cadenza.music.formats.musicxml.reader import read_musicxml
 from cadenza.music.formats.musicxml_writing import write_musicxml
-from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import load_score
+from cadenza.music.libraries.songs import songs
 from cadenza.music.score import Bar, Note, PedalEvent, Score, Track
 from music_strategies import monophonic_per_key, scores
 

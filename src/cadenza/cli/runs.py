@@ -20,9 +20,8 @@ from cadenza.errors import CadenzaError
 from cadenza.sim.threads import MAX_THREADS
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import BenchState
+    from cadenza.evaluation.bench import BenchState, CarryOut
     from cadenza.evaluation.jobs import BenchJob
-    from cadenza.evaluation.processes import CarryOut
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,7 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
     """
     from tqdm import tqdm
 
-    from cadenza.evaluation.bench import bench
-    from cadenza.evaluation.processes import ProcessExecutor
+    from cadenza.evaluation.bench import ProcessExecutor, bench
     from cadenza.evaluation.results import write_plan
 
     check_writable(command.output)
@@ -109,7 +107,7 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
 
 def _under_way(state: BenchState) -> Iterator[str]:
     """Yield how far each run is that is under way here, and how many are elsewhere."""
-    from cadenza.evaluation.run_status import read_progress
+    from cadenza.evaluation.run import read_progress
 
     for name, job in state.running.items():
         at = read_progress(state.folder / name)

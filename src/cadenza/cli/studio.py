@@ -45,8 +45,7 @@ def run(command: StudioCommand) -> None:
     jobs = whole_number(jobs, "--jobs", 1, 64)
     check_writable(command.folder, "--folder", 0o700)  # it holds the address
     need_server()
-    from cadenza.studio.address import announce
-    from cadenza.studio.page_server import serve
+    from cadenza.studio.page_server import announce, serve
     from cadenza.studio.server import Studio
 
     studio = Studio(command.folder, jobs)

@@ -1,17 +1,124 @@
-"""Carries out many runs, as many at once as there is room for."""
+"""Carries out many runs, as many at once as there is room for, each in a process of its own.
 
+One that crashes takes no other with it.
+"""
+
+import os
+import signal
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from multiprocessing import connection, get_context, parent_process, resource_tracker
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from threading import Thread
+from typing import Any, NamedTuple
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import BenchJob
-from cadenza.evaluation.processes import ProcessExecutor
 from cadenza.evaluation.results import FAILED, RUNS, failure, is_finished
-from cadenza.evaluation.run_status import folder_of, write_failure
+from cadenza.evaluation.run import folder_of, write_failure
+from cadenza.sim.threads import available_cores
+
+CarryOut = Callable[[Any, Path, int, Callable[[], bool]], None]
+"""Carries out a job, see `cadenza.evaluation.run.carry_out`."""
+_SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
+
+
+class Ended(NamedTuple):
+    """A run whose process has ended."""
+
+    job: BenchJob
+    crash: str = ""  # cause of death of the process, in a line; empty if it ended by itself
+
+
+class ProcessExecutor:
+    """Runs `capacity` processes at once, each with `num_threads` threads for its planner."""
+
+    def __init__(self, num_threads: int, num_jobs: int | None, carry_out: CarryOut) -> None:
+        """Start as many processes as cores allow, unless a number is given."""
+        # Read when numpy is first imported, which is before a process knows what it is to do.
+        os.environ.setdefault("OMP_NUM_THREADS", str(num_threads))
+        self.capacity = num_jobs or max(available_cores() // num_threads, 1)
+        self._num_threads, self._carry_out = num_threads, carry_out
+        self._running: list[tuple[BenchJob, BaseProcess]] = []
+
+    def start(self, job: BenchJob, folder: Path) -> None:
+        """Begin to carry out a job in a process of its own."""
+        process = _SPAWN.Process(
+            target=_work, args=(self._carry_out, job, folder, self._num_threads)
+        )
+        # Ctrl-C of a terminal goes to all of its processes, and only we are to act on it: what is
+        # blocked here is blocked there. (The first start of a tracker would unblock it.)
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self._running.append((job, process))
+
+    def ended(self, seconds: float) -> list[Ended]:
+        """Wait for runs to end, at most for `seconds`, and return those."""
+        connection.wait([process.sentinel for _, process in self._running], seconds)
+        before, self._running, ended = self._running, [], []
+        for job, process in before:
+            if process.is_alive():
+                self._running.append((job, process))
+            else:
+                ended.append(_ended(job, process))
+        return ended
+
+    def stop(self) -> None:
+        """End all runs under way so that they can be resumed."""
+        for _, process in self._running:
+            process.terminate()
+        for _, process in self._running:
+            process.join()
+        self._running.clear()
+
+    def close(self) -> None:
+        """Kill the runs that are still under way."""
+        for _, process in self._running:
+            process.kill()
+
+
+def _ended(job: BenchJob, process: BaseProcess) -> Ended:
+    process.join()
+    status = process.exitcode or 0
+    process.close()
+    if status == -signal.SIGKILL:
+        why = "its process was killed (SIGKILL), as a system does when memory runs out"
+        return Ended(job, why)
+    if status:
+        how = signal.Signals(-status).name if status < 0 else f"status {status}"
+        return Ended(job, f"its process crashed ({how}); see log.txt")
+    return Ended(job)
+
+
+def _work(carry_out: CarryOut, job: BenchJob, folder: Path, num_threads: int) -> None:
+    Thread(target=_end_with_parent, daemon=True).start()
+    stop = _stop_requested() if job.spec.training is not None else lambda: False
+    carry_out(job, folder, num_threads, stop)
+    sys.stdout.flush()
+
+
+def _end_with_parent() -> None:
+    """End this process when its bench is killed."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _stop_requested() -> Callable[[], bool]:
+    """Return what says whether the process has been told to end; training then saves first."""
+    asked = list[int]()
+    signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
+    return lambda: bool(asked)
+
 
 _POLL_INTERVAL = 0.5  # [s]
 _MAX_ATTEMPTS = 3  # at a run whose process dies

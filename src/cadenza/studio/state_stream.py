@@ -9,7 +9,7 @@ from cadenza.music.performance import SoundedNotes, key_events
 from cadenza.performing.performance import Performance
 from cadenza.performing.setup import Setup
 from cadenza.report.engraving import Engraver
-from cadenza.report.recording import arranged_notes, finger_numbers, lost_notes, packed
+from cadenza.report.performance_page import arranged_notes, finger_numbers, lost_notes, packed
 from cadenza.scene.drawing import drawing
 from cadenza.studio.messages import ROWS, SOUNDS, STEP_PARTS, Send, WireMessage, json_message
 from cadenza.studio.tone_samples import INSTRUMENT

@@ -27,9 +27,8 @@ from cadenza.files import (
     write_json,
 )
 from cadenza.music.formats.reading import MUSIC, ending_of
-from cadenza.music.libraries.bundled import bundled
 from cadenza.music.libraries.imported import imported, imported_libraries
-from cadenza.music.libraries.songs import Song
+from cadenza.music.libraries.songs import Song, bundled
 from cadenza.music.score import Track
 from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest

@@ -7,7 +7,7 @@ import gymnasium
 from gymnasium.vector import VectorEnv
 
 from cadenza.errors import CadenzaError, quoted
-from cadenza.music.libraries.bundled import songs
+from cadenza.music.libraries.songs import songs
 
 _DRILLS = {"MiniNote": "notes-1", "MiniNotes": "notes-6", "MiniDyads": "dyads-3"}
 _ENGINES = {

@@ -31,7 +31,7 @@ from cadenza.evaluation.collecting.performed_agent import PerformedAgent
 from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, Shown, shown_by
 from cadenza.evaluation.collecting.variation import Variation, as_drawn
 from cadenza.evaluation.jobs import BenchJob, JobSpec, digest_of_files, songs_of
-from cadenza.evaluation.run_status import (
+from cadenza.evaluation.run import (
     check_song,
     claimed_run,
     progress_writer,

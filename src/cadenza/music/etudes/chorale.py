@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cadenza.music.etudes.harmony import (
     FORBIDDEN,
     LEADING,
+    STEPS,
     TONIC,
     Costs,
     Pitches,
@@ -20,7 +21,6 @@ from cadenza.music.etudes.harmony import (
     progression,
     random_costs,
 )
-from cadenza.music.etudes.keys import STEPS
 from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.score import OCTAVE
 from cadenza.music.viterbi import cheapest_sequence

@@ -8,7 +8,9 @@ import numpy as np
 
 from cadenza.music.etudes.harmony import (
     FORBIDDEN,
+    STEPS,
     Costs,
+    Form,
     Pitches,
     are_hidden,
     are_parallel,
@@ -17,7 +19,6 @@ from cadenza.music.etudes.harmony import (
     is_perfect,
     random_costs,
 )
-from cadenza.music.etudes.keys import STEPS, Form
 from cadenza.music.etudes.sheet import PHRASE, EtudeSheet, Tone
 from cadenza.music.viterbi import cheapest_sequence
 

@@ -9,8 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from cadenza.fingers import Side
-from cadenza.music.etudes.harmony import FORBIDDEN, Triad, random_costs
-from cadenza.music.etudes.keys import STEPS
+from cadenza.music.etudes.harmony import FORBIDDEN, STEPS, Triad, random_costs
 from cadenza.music.etudes.sheet import PHRASE, EtudeSheet, Tone, pick
 from cadenza.music.score import LOWEST_PITCH, OCTAVE
 from cadenza.music.viterbi import cheapest_sequence

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cadenza.music.etudes.keys import STEPS, Key, random_key
+from cadenza.music.etudes.harmony import STEPS, Key, random_key
 from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.score import Note, Score
 

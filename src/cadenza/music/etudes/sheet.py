@@ -7,8 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from cadenza.fingers import SIDES, Side
-from cadenza.music.etudes.harmony import TONIC, Triad, progression
-from cadenza.music.etudes.keys import STEPS, Key
+from cadenza.music.etudes.harmony import STEPS, TONIC, Key, Triad, progression
 from cadenza.music.score import Bar, Note
 
 Choice = TypeVar("Choice")

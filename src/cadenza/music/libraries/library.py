@@ -14,10 +14,9 @@ from pathlib import Path
 from cadenza.errors import CadenzaError, by_others, quoted
 from cadenza.hub import is_on_hub
 from cadenza.music.formats.reading import MUSIC, NOT_READ, read_score
-from cadenza.music.libraries.bundled import bundled, songs
 from cadenza.music.libraries.folder import folder_library
 from cadenza.music.libraries.imported import imported, imported_libraries, is_imported
-from cadenza.music.libraries.songs import Library, Song, song_named
+from cadenza.music.libraries.songs import Library, Song, bundled, song_named, songs
 from cadenza.music.score import Score
 from cadenza.registry import Entry, Registry
 
@@ -33,9 +32,9 @@ LIBRARIES = Registry(
             "cadenza.music.libraries.benchmark:benchmark_sets", "etudes and songs of the benchmark"
         ),
         "bundled": Entry(
-            "cadenza.music.libraries.bundled:bundled", "the pieces that come with Cadenza"
+            "cadenza.music.libraries.songs:bundled", "the pieces that come with Cadenza"
         ),
-        "debug": Entry("cadenza.music.libraries.bundled:debug", "six of them that are short"),
+        "debug": Entry("cadenza.music.libraries.songs:debug", "six of them that are short"),
         "etude-12": Entry("cadenza.music.libraries.pig:etude_12", "the twelve published etudes"),
         ETUDES: Entry(
             "cadenza.music.etudes.library:etude_library", "etudes:N has N practice pieces"

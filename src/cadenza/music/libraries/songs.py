@@ -1,12 +1,19 @@
-"""Songs with what listings say of them, and libraries of songs. No music file is opened here."""
+"""Songs with what listings say of them, libraries of songs, and those that come with Cadenza.
+
+No music file is opened here; to list the bundled pieces, only a small index is read.
+"""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from functools import cache, partial
+from pathlib import Path
 
 from cadenza.errors import CadenzaError, quoted
+from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Score
 from cadenza.music.written_hands import with_written_hands
 
@@ -87,3 +94,43 @@ def song_named(name: str, library: Library) -> Song:
         f"no song named {quoted(name)}: {hint}run `cadenza songs` for all names, "
         "or give the path of a MIDI or MusicXML file"
     )
+
+
+_FOLDER = Path(__file__).parent / "pieces"
+_SHORT = (  # pieces that the published system has, too
+    "TwinkleTwinkleLittleStar",
+    "CMajorScaleOneHand",
+    "DMajorScaleOneHand",
+    "CMajorScaleTwoHands",
+    "DMajorScaleTwoHands",
+    "CMajorChordProgressionTwoHands",
+)
+
+
+@cache
+def songs() -> tuple[Song, ...]:
+    """The bundled pieces, from easy to hard for pianists."""
+    index = tomllib.loads((_FOLDER / "index.toml").read_text(encoding="utf-8"))
+    return tuple(
+        Song(
+            name,
+            partial(read_score, _FOLDER / f"{name}.mid"),
+            title=about["title"],
+            composer=about["composer"],
+            source=about["source"],
+            seconds=about["seconds"],
+            hands=about["hands"],
+            difficulty=about["grade"],
+        )
+        for name, about in index.items()
+    )
+
+
+def bundled() -> Library:
+    """The library of all bundled pieces, from easy to hard; songs are named without the library."""
+    return Library("bundled", songs())
+
+
+def debug() -> Library:
+    """The library of short bundled pieces, for quick experiments."""
+    return Library("debug", tuple(piece for piece in songs() if piece.name in _SHORT))

@@ -4,7 +4,7 @@ const LEFT_OUT = "left out", MOVED = "moved", AGAIN = "struck again";
 const OCTAVES = ["", "an octave", "two octaves"];
 
 /**
- * The notes that were changed, as `arrangement` has them (see `cadenza.report.recording`), by their
+ * The notes that were changed, as `arrangement` has them (see `cadenza.report.performance_page`), by their
  * beginning: the `key` at which each is drawn, the one that was `written`, `from` and `to` [s], its
  * `part`, its `kind`, by how many keys it was moved `up`, and in words what `became` of it.
  */

@@ -1,6 +1,6 @@
 // Why notes were missed, and what an arrangement did with others: in tables, and where one points.
 
-/** Of each note that was lost, as `misses` has them (see `cadenza.report.recording`). */
+/** Of each note that was lost, as `misses` has them (see `cadenza.report.performance_page`). */
 function missesOf({ misses = [], lowest, keys }) {
   const numbers = new Map(Array.from({ length: keys }, (_, key) => [noteName(key + lowest), key]));
   return misses.map(([time, note, finger, what, cause, reason]) => ({ key: numbers.get(note), time, note, finger, what, cause, reason }));
