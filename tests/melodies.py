@@ -3,7 +3,7 @@
 import numpy as np
 
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
-from cadenza.music.score import Note, Score
+from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -12,8 +12,11 @@ BUFFER = TaskConfig(initial_buffer_time=0.5)
 FINER, COARSER = 0.025, 0.1  # control steps [s] other than the usual 0.05
 
 
-def melody(*pitches: int, length: float = 0.4) -> Score:
-    return Score(tuple(Note(i * length, (i + 1) * length, p) for i, p in enumerate(pitches)))
+def melody(*pitches: int, length: float = 0.4, pedal: bool = False) -> Score:
+    """One note after the other, with the pedal down in the middle if asked for."""
+    events = (PedalEvent(length, 127), PedalEvent(2 * length, 0)) if pedal else ()
+    notes = (Note(i * length, (i + 1) * length, p) for i, p in enumerate(pitches))
+    return Score(tuple(notes), events)
 
 
 def whole_plan(score: Score, delays: int | np.ndarray = 0) -> SongPlan:

@@ -23,6 +23,7 @@ from cadenza.music.score import Note, Score
 from cadenza.resumable import CHECKPOINT
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
+from rounds import so_often
 
 SONG = Score((Note(0, 0.2, 60),))
 CONFIG = TrainingConfig(
@@ -47,10 +48,9 @@ def _compiled_once():
 
 def go_on(path: Path, rounds: int = 2) -> int:
     """The step from which a run goes on; it does some rounds more."""
-    left = iter(range(rounds))
     with closing(Training(problem_of(CONFIG, [SONG]), RunFolder(path))) as run:
         first = run.step
-        run.run(lambda: next(left, None) is not None)
+        run.run(so_often(rounds))
     return first
 
 

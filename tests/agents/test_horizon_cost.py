@@ -100,14 +100,19 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more():
     assert cost(wrong, "..x.x.....") > cost(wrong, "..xx......") > cost(wrong, "..........")
 
 
-def test_a_wrong_key_that_is_only_brushed_is_a_mistake():
-    chord, beside = Chord(), CHORD[0] + 1 - PIANO.lowest_pitch
+@pytest.mark.parametrize(
+    ("pitch", "moments", "is_down", "least"),
+    [(CHORD[0] + 1, slice(1, 3), True, 1.0), (CHORD[0], slice(1, 2), False, 0.0)],
+    ids=["a wrong key that is only brushed", "a key that is struck again within a step"],
+)
+def test_what_happens_within_a_step_is_a_mistake(pitch, moments, is_down, least):
+    chord, key = Chord(), pitch - PIANO.lowest_pitch
     path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
     before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
     [(clean, none, _)] = chord.horizon.costs(1, path[None], tips[None], before)
-    path[1:3, beside] = PIANO.travel[beside]
-    [(brushed, mistakes, _)] = chord.horizon.costs(1, path[None], tips[None], before)
-    assert brushed > clean + 1.0
+    path[moments, key] = PIANO.travel[key] * is_down
+    [(wrong, mistakes, _)] = chord.horizon.costs(1, path[None], tips[None], before)
+    assert wrong > clean + least
     assert (none, mistakes) == (0, 1)
 
 
@@ -179,17 +184,6 @@ def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher(played)
     assert (error[step - 1 : step + 1, 3, 2] > 0.003).all()
     assert (weight[step - 1 : step + 1, 3] == 1.0).all()
     assert (error[[step - 2, step + 1]] == 0.0).all()
-
-
-def test_a_key_that_is_struck_again_within_a_step_costs_as_a_wrong_onset():
-    chord, key = Chord(), CHORD[0] - PIANO.lowest_pitch
-    path = np.repeat(chord.wanted[1:2] * PIANO.travel, 4, axis=0)
-    before, tips = chord.horizon.start._replace(sounding=chord.wanted[1]), chord.tips[1]
-    [(held, none, _)] = chord.horizon.costs(1, path[None], tips[None], before)
-    path[1, key] = 0.0
-    [(struck_again, mistakes, _)] = chord.horizon.costs(1, path[None], tips[None], before)
-    assert struck_again > held
-    assert (none, mistakes) == (0, 1)
 
 
 def test_wrong_keys_and_wrong_onsets_near_a_strike_are_its_fault():

@@ -41,6 +41,7 @@ from cadenza.sim.threads import Threads
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from refusals import refused
+from rounds import so_often
 from watched import watched
 
 QUICK = TaskConfig(initial_buffer_time=0.4)
@@ -132,12 +133,6 @@ def worth(practised: Practice) -> float:
     return practised.best().score
 
 
-def on_and_off(units: int) -> Callable[[], bool]:
-    """Lets so many units be done."""
-    left = iter(range(units))
-    return lambda: next(left, None) is not None
-
-
 def assert_same(one: Practice, other: Practice) -> None:
     mine, others = one.state(), other.state()
     assert mine.keys() == others.keys()
@@ -180,7 +175,7 @@ def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene():
         assert worth(one) >= before
         before = worth(one)
         assert_plays_as_it_says(one, CLOSE)
-    one.run(np.inf, on_and_off(3))  # in the middle of a sweep
+    one.run(np.inf, so_often(3))  # in the middle of a sweep
     assert worth(one) >= before
     assert_plays_as_it_says(one, CLOSE)
     scores = [f1 + 2 * onsets for _, f1, onsets in one.history]
@@ -219,7 +214,7 @@ def test_it_plays_more_in_time_and_as_loud_as_written():
 def test_it_goes_on_after_a_stop_as_if_there_had_been_none_on_any_threads(practised, tmp_path):
     left = practice(2)
     for units in 1, 2, 4:  # in the first take, where a sweep begins, within one
-        assert not left.run(EFFORT, on_and_off(units))
+        assert not left.run(EFFORT, so_often(units))
         left = restored(practice(2), left, tmp_path)
     assert left.run(EFFORT)
     assert_same(left, practised)
@@ -285,7 +280,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     assert_plays_as_it_says(straight, score)
     left, within = practice(2, score=score, config=config), set[bool]()
     followed = watched(monkeypatch, PlannedVariant, "follow")
-    while not left.run(effort, on_and_off(5)):
+    while not left.run(effort, so_often(5)):
         within.add(left.plays_variant)
         left = restored(practice(2, score=score, config=config), left, tmp_path)
     assert within == {False, True}  # takes of other fingers or release times
@@ -307,7 +302,7 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     done = False
     left = practice(2, score=JUMPS, config=with_search, seed=1)
     while not done:
-        done = left.run(0.3, on_and_off(6))
+        done = left.run(0.3, so_often(6))
         left = restored(practice(2, score=JUMPS, config=with_search, seed=1), left, tmp_path)
     assert_same(left, straight)
 
@@ -329,7 +324,7 @@ def test_practice_of_something_else_is_refused(practised, seed, config, scene, t
 @pytest.mark.parametrize("lost", ["spliced/fingers", "practice/numbers", "best/ctrl"])
 def test_practice_with_parts_missing_is_refused(lost, tmp_path):
     begun = practice()
-    begun.run(EFFORT, on_and_off(1))
+    begun.run(EFFORT, so_often(1))
     assert lost in begun.state()
     path = changed(begun, tmp_path, **{lost: None})
     with pytest.raises(CadenzaError, match=r"state\.safetensors: parts of it are missing"):
@@ -343,7 +338,7 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(monkeypatch
     late = Score((*EASY.notes, *later))
     left = practice(score=late)
     while not left.state().get("sweep/first"):
-        left.run(2.0, on_and_off(1))
+        left.run(2.0, so_often(1))
     again = practice(score=late)
     rollouts = watched(monkeypatch, WholeScene, "roll_out")
     restored(again, left, tmp_path)

@@ -1,6 +1,7 @@
 """Hands of other kinds, in other places and at other keyboards."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,15 +17,13 @@ from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.goal_track import players_of
+from melodies import melody
 from numbered import numbers
 from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
 
 FOUR = players_at(FOUR_FINGERS, PIANO, SIDES, hand_spacing=0.3, slides=True)
+scale = partial(melody, length=0.5)
 OUT_OF_REACH = "out of reach of both hands"
-
-
-def scale(*pitches: int) -> Score:
-    return Score(tuple(Note(0.5 * i, 0.5 * i + 0.5, pitch) for i, pitch in enumerate(pitches)))
 
 
 def fingers(score: Score, players: Players) -> list[int]:

@@ -17,6 +17,7 @@ from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score, songs
 from cadenza.music.score import RELEASE_TIME, Note, Score, is_black
+from melodies import melody
 from music_strategies import lengths, monophonic_per_key, scores, times
 from numbered import finger, numbers
 from players import FOUR_FINGERS, find_fingering, shadow_hands, solve
@@ -25,12 +26,7 @@ REACH = SHADOW.reach
 ORDER = shadow_hands().fingers  # from left to right
 
 
-def bare(score: Score) -> Score:
-    return Score(tuple(replace(note, finger=None) for note in score.notes), score.pedal)
-
-
-def melody(*pitches: int, seconds: float = 0.4) -> Score:
-    return Score(tuple(Note(seconds * i, seconds * (i + 1), p) for i, p in enumerate(pitches)))
+bare = Score.without_fingers
 
 
 def chord(*pitches: int) -> Score:
@@ -180,7 +176,7 @@ def test_a_note_that_is_struck_twice_at_once_has_one_finger():
 @pytest.mark.parametrize("pitches", [(21, 22, 23), (106, 107, 108), (21, 108)])
 def test_both_ends_of_the_keyboard(pitches):
     for sides in (("right", "left"), ("right",), ("left",)):
-        for score in (melody(*pitches), melody(*pitches, seconds=0.05)):
+        for score in (melody(*pitches), melody(*pitches, length=0.05)):
             _, dropped = find_fingering(score, sides)
             assert not dropped
 
@@ -244,7 +240,7 @@ def test_triads_and_octaves():
 
 def test_a_repeated_key_keeps_its_finger():
     for seconds in (0.1, 0.5):
-        found, _ = find_fingering(melody(*[67] * 6, 69, *[67] * 3, seconds=seconds))
+        found, _ = find_fingering(melody(*[67] * 6, 69, *[67] * 3, length=seconds))
         assert len({n.finger for n in found.notes if n.pitch == 67}) == 1
 
 
@@ -290,7 +286,7 @@ def test_the_bundled_fingering_is_possible_and_costs_more(piece):
     ],
 )
 def test_a_pianists_fingers_of_scales(pitches, side, fingers, seconds):
-    found, _ = pianist_fingering(melody(*pitches, seconds=seconds), shadow_hands([side]))
+    found, _ = pianist_fingering(melody(*pitches, length=seconds), shadow_hands([side]))
     assert [note.finger.index + 1 for note in found.notes] == fingers
     assert {note.finger.side for note in found.notes} == {side}
 
@@ -331,7 +327,7 @@ def test_hands_of_four_fingers_are_fingered_as_a_pianist_would_without_the_littl
 @pytest.mark.parametrize(
     "score",
     [
-        melody(60, 67, 61, seconds=0.1),
+        melody(60, 67, 61, length=0.1),
         chord(60, 64, 67),
         Score((Note(0, 1, 60), Note(0.3, 0.5, 64), Note(0.6, 1.0, 59))),
         Score((Note(0, 0.2, 48), Note(0, 0.2, 54), Note(0.2, 0.3, 54))),
@@ -370,6 +366,6 @@ def test_mirrored_music_costs_the_same(played):
 
 
 def test_a_long_song():
-    found, dropped = find_fingering(melody(*(60 + (7 * i) % 12 for i in range(2000)), seconds=0.2))
+    found, dropped = find_fingering(melody(*(60 + (7 * i) % 12 for i in range(2000)), length=0.2))
     assert not dropped
     check_hands(replace(found, notes=found.notes[-50:]))

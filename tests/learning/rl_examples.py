@@ -1,24 +1,38 @@
 """Small songs, tasks and learners."""
 
+from collections.abc import Sequence
+from contextlib import closing
+from functools import partial
 from typing import Any
 
 import flax.linen as nn
 import jax
 import numpy as np
 
+import melodies
 from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.config import TrainingConfig
+from cadenza.learning.problem import problem_of
 from cadenza.learning.replay_buffer import Batch
-from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.learning.run_folder import RunFolder
+from cadenza.learning.training import Training
+from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
+from rounds import so_often
 
 TINY = DroQConfig(hidden_sizes=(16,), batch_size=8, dropout=0.1)
 
 
-def melody(*pitches: int, length: float = 0.2, pedal: bool = False) -> Score:
-    """One note after the other, with the pedal down in the middle if asked for."""
-    events = (PedalEvent(length, 127), PedalEvent(2 * length, 0)) if pedal else ()
-    notes = (Note(i * length, (i + 1) * length, p) for i, p in enumerate(pitches))
-    return Score(tuple(notes), events)
+melody = partial(melodies.melody, length=0.2)
+
+
+def train(
+    config: TrainingConfig, run: RunFolder, songs: Sequence[Score], stops: Sequence[int] = ()
+) -> None:
+    """Trains to the end, closed and opened again after these numbers of rounds."""
+    for rounds in (*stops, 10**9):
+        with closing(Training(problem_of(config, songs), run)) as one:
+            one.run(so_often(rounds))
 
 
 def reset(task: PianoTask, seed: int = 0) -> None:

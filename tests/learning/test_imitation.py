@@ -29,6 +29,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.tasks.view import to_range
 from demonstrations.made import SCORE, collected
 from refusals import refused_in_a_line
+from rounds import so_often
 
 CONFIG = ImitationConfig(
     learner=CloningConfig(hidden_sizes=(32,), batch_size=32),
@@ -71,12 +72,6 @@ def seen_in(
 ) -> np.ndarray:
     """(B, D) what a policy observes in steps (B,)."""
     return observed(dataset.batch(steps, lookahead), ranges, dataset.onsets(steps, lookahead))
-
-
-def times(count: int) -> Callable[[], bool]:
-    """Returns a function that is true so many times."""
-    asked = iter(range(count))
-    return lambda: next(asked, None) is not None
 
 
 def test_an_error_that_is_no_longer_finite_stops_it_before_it_is_kept(demonstrations, tmp_path):
@@ -125,7 +120,7 @@ def test_sees_in_a_performance_what_it_has_learnt_from(demonstrations, tmp_path,
 def test_sees_the_same_however_the_recorded_task_shows_it(tmp_path, task):
     collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(SAME | task))
     run = Imitation(replace(CONFIG, held_out=0), tmp_path / "made", tmp_path / "run")
-    run.run(times(1))
+    run.run(so_often(1))
     learnt, dataset = load_policy(tmp_path / "run" / "last"), open_dataset(tmp_path / "made")
     assert learnt.ranges is not None
     assert learnt.task.trim_silence
@@ -140,7 +135,7 @@ def test_sees_the_same_however_the_recorded_task_shows_it(tmp_path, task):
 def test_resumed_it_ends_with_the_same_bits(demonstrations, run, tmp_path):
     other = tmp_path / "run"
     for asked in 2, 1, 100:  # stops between two rows of metrics, and twice
-        ended = trained(CONFIG, demonstrations, other, times(asked))
+        ended = trained(CONFIG, demonstrations, other, so_often(asked))
     assert ended.finished
     last = Path("last") / POLICY_FILE
     assert (other / last).read_bytes() == (run / last).read_bytes()
@@ -212,12 +207,9 @@ def test_its_folder_names_no_song(run):
         cadenza.play("OdeToJoy", run)
 
 
-def test_another_run_in_its_folder_is_refused(demonstrations, run):
+def test_another_run_in_its_folder_is_refused(demonstrations, run, tmp_path):
     with pytest.raises(CadenzaError, match="holds a run with other options"):
         Imitation(replace(CONFIG, seed=1), demonstrations, run)
-
-
-def test_a_run_of_another_command_in_its_folder_is_refused(demonstrations, tmp_path):
     (tmp_path / "run.json").write_text('{"command": "cadenza train"}')
     with pytest.raises(CadenzaError, match=r"holds a run of cadenza train, .*another folder"):
         Imitation(CONFIG, demonstrations, tmp_path)

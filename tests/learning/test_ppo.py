@@ -1,7 +1,5 @@
 """PPO: it learns, its runs go on to the bit, and both engines give it the same rollouts."""
 
-import functools
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +10,7 @@ import numpy as np
 import pytest
 from jax.experimental import io_callback
 from numpy.testing import assert_allclose, assert_array_equal
-from rl_examples import melody
+from rl_examples import melody, train
 
 from cadenza.errors import CadenzaError
 from cadenza.learning.actions import ActionMapping
@@ -25,10 +23,9 @@ from cadenza.learning.learner import EnvRollout
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
 from cadenza.learning.on_policy import HostRollouts
 from cadenza.learning.policy_folder import load_policy
-from cadenza.learning.problem import problem_of
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.training import Training, begin
+from cadenza.learning.training import begin
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -37,6 +34,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.functional import FunctionalPianoTask
 from cadenza.tasks.piano_task import PianoTask
 
+pytestmark = pytest.mark.usefixtures("compiled_once")
 SCALE = melody(60, 62, 64, 65, 67, length=0.5)
 ONE_HAND = SceneConfig(hands="right", physics="fast")
 TINY = PPOConfig(hidden_sizes=(16,), batch_size=8)
@@ -56,23 +54,11 @@ CONFIG = TrainingConfig(
 SONGS = [melody(60, 64), melody(62, 67, pedal=True)]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_once():
-    """A learner keeps nothing of a run, and runs of this module may share it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(PPOConfig, "make", functools.cache(PPOConfig.make))
-        yield
-
-
-def train(config: TrainingConfig, songs: list[Score], folder: Path, *stops: int) -> RunFolder:
-    """Trains to the end, closed and opened again after these numbers of rounds."""
+def trained(config: TrainingConfig, songs: list[Score], folder: Path, *stops: int) -> RunFolder:
     folder.mkdir()
     run = RunFolder(folder)
     run.begin(config, songs)
-    for rounds in (*stops, 10**9):
-        left = iter(range(rounds))
-        with closing(Training(problem_of(config, songs), run)) as one:
-            one.run(lambda left=left: next(left, None) is not None)  # type: ignore[misc]
+    train(config, run, songs, stops)
     return run
 
 
@@ -86,7 +72,9 @@ def figures(run: RunFolder) -> list[dict[str, Any]]:
 def test_a_run_that_is_resumed_ends_as_one_that_was_not(tmp_path, residual):
     config = replace(CONFIG, residual=residual, song_range=not residual)
     songs = SONGS[:1] if residual else SONGS
-    runs = [train(config, songs, tmp_path / "whole"), train(config, songs, tmp_path / "in", 2, 2)]
+    runs = [
+        trained(config, songs, tmp_path / name, *s) for name, s in (("whole", ()), ("in", (2, 2)))
+    ]
     whole, resumed = (load_policy(run.path / "last") for run in runs)
     for name, weights in whole.policy.state()[1].items():
         assert_array_equal(weights, resumed.policy.state()[1][name], err_msg=name)
@@ -261,6 +249,10 @@ def assert_trees_close(one: Any, other: Any) -> None:
             {"scene": SceneConfig(engine="warp"), "residual": True},
             "engine warp: plans are corrected on CPU cores",
         ),
+        (
+            vars(replace(preset("fast"), scene=SceneConfig(engine="warp"))),
+            "engine warp: .* choose --learner ppo",
+        ),
         ({"learner": replace(TINY, clip=0.0)}, "clip 0.0: choose more than 0"),
         ({"residual": True, "song_range": False}, "residual policy corrects the plan of one song"),
     ],
@@ -271,15 +263,10 @@ def test_what_makes_no_sense_is_refused(options, message, tmp_path):
     assert not (tmp_path / "run.json").exists()
 
 
-def test_a_learner_that_replays_does_not_learn_on_a_device(tmp_path):
-    with pytest.raises(CadenzaError, match=r"engine warp: .* choose --learner ppo"):
-        begin(replace(preset("fast"), scene=SceneConfig(engine="warp")), SONGS, RunFolder(tmp_path))
-
-
 @pytest.mark.slow  # two minutes
 def test_a_scale_is_learnt(tmp_path):
     usual = preset("fast", learner="ppo")
     config = replace(usual, scene=ONE_HAND, num_steps=80_000, eval_interval=20_000)
-    run = train(config, [SCALE], tmp_path / "run")
+    run = trained(config, [SCALE], tmp_path / "run")
     f1 = [row["eval/f1"] for row in run.metrics.rows() if "eval/f1" in row]
     assert f1[-1] > f1[0] + 0.4

@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -118,6 +118,12 @@ class Playing:
             self.row[ended] = 0
         self.observe(np.arange(self.num_envs))
 
+    def after(self, steps: int) -> Self:
+        """This, after so many more steps."""
+        for _ in range(steps):
+            self.step()
+        return self
+
     def held(self) -> set[tuple[Any, ...]]:
         return set().union(*(twin.held() for twin in self.envs))
 
@@ -158,9 +164,7 @@ def test_draws_exactly_the_transitions_that_are_held(num_envs, length, steps, en
 
 def test_every_transition_is_as_likely():
     """Environments whose episodes end more often have more frames, not more weight a frame."""
-    playing = Playing(num_envs=3, length=20, seed=0)
-    for _ in range(50):
-        playing.step()
+    playing = Playing(num_envs=3, length=20, seed=0).after(50)
     number = len(playing.replay)
     drawn = as_tuples(playing.replay.sample(np.random.default_rng(0), (1000 * number,)))
     counts = np.array([drawn.count(transition) for transition in playing.held()])
@@ -169,9 +173,7 @@ def test_every_transition_is_as_likely():
 
 
 def test_batches_have_the_shape_that_was_asked_for():
-    playing = Playing(2, 10, 0)
-    for _ in range(5):
-        playing.step()
+    playing = Playing(2, 10, 0).after(5)
     batch = playing.replay.sample(np.random.default_rng(0), (3, 4))
     observation = (3, 4, 1 + REST + ACTIONS + 1)
     shapes = [observation, (3, 4, ACTIONS), (3, 4), (3, 4), observation]
@@ -210,8 +212,7 @@ def check_chunks(playing: Playing, pauses: list[int]) -> None:
     """A new replay gets what was gathered between pauses of so many steps."""
     chunks: list[dict[str, np.ndarray]] = []
     for steps in pauses:
-        for _ in range(steps):
-            playing.step()
+        playing.after(steps)
         chunk = playing.replay.since(chunks[-1]["to"] if chunks else 0)
         chunks = [c for c in chunks if playing.replay.holds(c["to"])] + [chunk]
     again = playing.new_replay()
@@ -243,8 +244,7 @@ def test_goes_on_without_chunks_that_are_lost(num_envs, length, pauses, lost, se
     """It has the transitions that were held and no others: none reaches over a gap."""
     playing, chunks = Playing(num_envs, length, seed), []
     for steps in pauses:
-        for _ in range(steps):
-            playing.step()
+        playing.after(steps)
         chunks.append(playing.replay.since(chunks[-1]["to"] if chunks else 0))
     again = playing.new_replay()
     for number, chunk in enumerate(chunks):
@@ -263,9 +263,7 @@ def test_goes_on_without_chunks_that_are_lost(num_envs, length, pauses, lost, se
 
 def test_what_is_left_of_much_is_found():
     """Ten transitions among a hundred thousand places."""
-    playing = Playing(num_envs=1, length=100_000, seed=0, ending=0.0)
-    for _ in range(10):
-        playing.step()
+    playing = Playing(num_envs=1, length=100_000, seed=0, ending=0.0).after(10)
     left = playing.new_replay()
     left.restore(playing.replay.since(0))
     left.skip(np.array([99_990]))
@@ -290,9 +288,7 @@ def test_what_is_left_of_much_is_found():
     ],
 )
 def test_a_chunk_of_something_else_is_refused(change):
-    playing = Playing(num_envs=1, length=10, seed=0, ending=0.0)
-    for _ in range(6):
-        playing.step()
+    playing = Playing(num_envs=1, length=10, seed=0, ending=0.0).after(6)
     chunk = playing.replay.since(0)
     with pytest.raises(CadenzaError, match="experience"):
         playing.new_replay().restore(chunk | change)
@@ -301,13 +297,10 @@ def test_a_chunk_of_something_else_is_refused(change):
 
 
 def test_chunks_that_the_ring_has_overwritten_are_not_needed():
-    playing = Playing(num_envs=1, length=10, seed=0, ending=0.0)
-    for _ in range(5):
-        playing.step()
+    playing = Playing(num_envs=1, length=10, seed=0, ending=0.0).after(5)
     to = playing.replay.since(0)["to"]
     assert playing.replay.holds(to)
-    for _ in range(20):
-        playing.step()
+    playing.after(20)
     assert not playing.replay.holds(to)
 
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rl_examples
 from numpy.testing import assert_array_equal
 from rl_examples import TINY, melody
 
@@ -27,7 +29,6 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.files import ANY, read_tensors
-from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy, remarks_on
 from cadenza.learning.problem import problem_of
@@ -38,6 +39,8 @@ from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 SONG = melody(60, 64, 67)
+train = partial(rl_examples.train, songs=[SONG])
+pytestmark = pytest.mark.usefixtures("compiled_once")
 CONFIG = TrainingConfig(
     learner=TINY,
     task=TaskConfig(initial_buffer_time=0.1),
@@ -65,14 +68,6 @@ WAYS = {
 TIMES = {"seconds", "step", "eval/planning_seconds", "eval/playing_seconds"}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_once():
-    """A learner keeps nothing of a run, and runs of this module may share it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(DroQConfig, "make", functools.cache(DroQConfig.make))
-        yield
-
-
 @pytest.fixture
 def runs(tmp_path):
     def new() -> RunFolder:
@@ -81,14 +76,6 @@ def runs(tmp_path):
         return RunFolder(path)
 
     return new
-
-
-def train(config: TrainingConfig, run: RunFolder, *stops: int) -> None:
-    """Trains to the end, closed and opened again after these numbers of rounds."""
-    for rounds in (*stops, 10**9):
-        left = iter(range(rounds))
-        with closing(Training(problem_of(config, [SONG]), run)) as one:
-            one.run(lambda left=left: next(left, None) is not None)  # type: ignore[misc]
 
 
 def evaluations(run: RunFolder) -> list[dict[str, Any]]:
@@ -246,7 +233,7 @@ def test_keys_can_be_learnt_to_move_by_themselves(runs):
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(way, stops, runs, undisturbed):
     """It stops before anything, among random actions, at an evaluation, and twice at once."""
     stopped = runs()
-    train(WAYS[way], stopped, *stops)
+    train(WAYS[way], stopped, stops=stops)
     assert_same_runs(stopped, undisturbed(way))
 
 
@@ -254,7 +241,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(way, stops, runs, 
 def test_checkpoints_on_the_way_change_nothing(way, runs, undisturbed):
     """One after every round, the last of them right before the end's."""
     often = runs()
-    train(replace(WAYS[way], checkpoint_interval=0.0), often, 13)
+    train(replace(WAYS[way], checkpoint_interval=0.0), often, stops=[13])
     assert_same_runs(often, undisturbed(way))
     # And from the one at the end all experience is there.
     longer, other = replace(WAYS[way], num_steps=WAYS[way].num_steps + 40), runs()

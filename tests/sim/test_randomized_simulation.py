@@ -1,15 +1,12 @@
 """Simulations with models of their own and controls that come late."""
 
-from copy import deepcopy
-
 import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from random_controls import assert_same, controls
+from random_controls import assert_same, controls, drawn
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.randomization import POSE_FIELDS, Factors, shapes
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -22,35 +19,15 @@ def scene():
     return build_scene()
 
 
-def drawn(scene: Scene, seed: int) -> Factors:
-    rng = np.random.default_rng(seed)
-    factors = {name: np.asarray(rng.uniform(0.7, 1.4, s)) for name, s in shapes(scene).items()}
-    return {n: (f - 1) * 0.02 if n in POSE_FIELDS else f for n, f in factors.items()}  # [m, rad]
-
-
-def randomized(scene: Scene, seeds: list[int], num_threads: int = 1) -> MujocoSimulation:
-    simulation = MujocoSimulation(scene, len(seeds), num_threads=num_threads)
-    for env, seed in enumerate(seeds):
-        simulation.randomize(env, drawn(scene, seed))
+def randomized(scene: Scene, seed: int) -> MujocoSimulation:
+    simulation = MujocoSimulation(scene)
+    simulation.randomize(0, drawn(scene, seed))
     simulation.reset()
     return simulation
 
 
-def test_each_has_a_model_of_its_own_on_any_number_of_threads(scene):
-    one, two = randomized(scene, [1, 2, 3]), randomized(scene, [1, 2, 3], 2)
-    alone = randomized(scene, [2])
-    for ctrl in controls(scene, 1):
-        for simulation in (one, two):
-            simulation.step(np.tile(ctrl, (3, 1)))
-        alone.step(ctrl)
-    assert_same(one.state, two.state)
-    for batch, single in zip(one.state, alone.state, strict=True):
-        assert_array_equal(batch[1], single[0])
-    assert len({row.tobytes() for row in one.state.hand_qpos}) == 3
-
-
 def test_randomizing_again_is_as_if_it_were_the_first_time(scene):
-    again, fresh = randomized(scene, [1]), randomized(scene, [2])
+    again, fresh = randomized(scene, 1), randomized(scene, 2)
     for ctrl in controls(scene, 1):
         again.step(ctrl)
     again.randomize(0, drawn(scene, 2))
@@ -61,17 +38,8 @@ def test_randomizing_again_is_as_if_it_were_the_first_time(scene):
     assert_same(again.state, fresh.state)
 
 
-def test_a_copy_has_the_models_too(scene):
-    simulation = randomized(scene, [1, 2])
-    twin = deepcopy(simulation)
-    for ctrl in controls(scene, 2):
-        simulation.step(ctrl)
-        twin.step(ctrl)
-    assert_same(simulation.state, twin.state)
-
-
 def test_a_planner_takes_over_the_state_and_not_the_model(scene):
-    simulation = randomized(scene, [1])
+    simulation = randomized(scene, 1)
     for ctrl in controls(scene, 1):
         simulation.step(ctrl)
     taken, put = PlanningSimulation(scene), PlanningSimulation(scene)

@@ -201,49 +201,37 @@ def test_a_note_earns_by_how_far_its_velocity_is_off(velocity):
     assert_allclose(loudness, [0, as_loud(velocity - 80), 0, 0, 0], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "onset", [Onset(3, 0.0), Onset(1, 0.02, key=E)], ids=["two steps late", "of another key"]
-)
-def test_other_onsets_earn_nothing(onset):
-    assert rewards(DUE, onset) == ([0] * 5, [0] * 5)
+NOTHING, PERFECT = [0] * 5, [0, 1, 0, 0, 0]
+IN_TIME, TWICE = Onset(1, 0.02), Onset(1, 0.02, offset=0.01)
+AGAIN, NEAR = song((0.0, 60, 80), (0.12, 60, 80)), song((0.0, 60, 40), (0.1, 60, 80))
+EARNED: dict[str, tuple[Score, tuple[Onset, ...], list[float], list[float]]] = {
+    "two steps late": (DUE, (Onset(3, 0.0),), NOTHING, NOTHING),
+    "of another key": (DUE, (Onset(1, 0.02, key=E),), NOTHING, NOTHING),
+    "the first near a note counts, however well the second fits": (
+        *(DUE, (Onset(0, 0.01, 30), TWICE, Onset(2, 0.01))),
+        *([in_time(-0.06), 0, 0, 0, 0], [as_loud(-50), 0, 0, 0, 0]),
+    ),
+    "struck again later": (DUE, (IN_TIME, Onset(2, 0.02)), PERFECT, PERFECT),
+    "struck again at once": (DUE, (IN_TIME, Onset(2, 0.0)), PERFECT, PERFECT),
+    # A key that was silent, and falls silent again before its last onset, sounded twice.
+    "twice within a step": (DUE, (TWICE,), NOTHING, NOTHING),
+    "twice, and late": (DUE, (TWICE, Onset(3, 0.0)), NOTHING, NOTHING),
+    "anew, once it has fallen silent": (
+        *(AGAIN, (Onset(1, 0.0), Onset(2, 0.02, offset=0.01))),
+        *([0, in_time(0.05), 1, 0, 0], [0, 1, 1, 0, 0]),
+    ),
+    "the nearer of two notes": (NEAR, (Onset(1, 0.04),), [0, in_time(0.01), 0, 0, 0], PERFECT),
+    "both of a chord": (
+        *(song((0.07, 60, 80), (0.07, 64, 80)), (IN_TIME, Onset(1, 0.04, 100, key=E))),
+        *([0, 1 + in_time(0.02), 0, 0, 0], [0, 1 + as_loud(20), 0, 0, 0]),
+    ),
+}
 
 
-def test_to_strike_again_earns_nothing():
-    """The first onset near a note counts, however well the second one fits."""
-    early, late = Onset(0, 0.01, 30), Onset(2, 0.01)
-    timing, loudness = rewards(DUE, early, Onset(1, 0.02, offset=0.01), late)
-    assert_allclose(timing, [in_time(-0.06), 0, 0, 0, 0], atol=1e-9)
-    assert_allclose(loudness, [as_loud(-50), 0, 0, 0, 0], atol=1e-9)
-    for again in (Onset(2, 0.02), Onset(2, 0.0)):
-        assert rewards(DUE, Onset(1, 0.02), again) == ([0, 1, 0, 0, 0], [0, 1, 0, 0, 0])
-
-
-def test_to_strike_twice_within_a_step_earns_nothing():
-    """A key that was silent, and falls silent again before its last onset, sounded twice."""
-    twice = Onset(1, 0.02, offset=0.01)
-    assert rewards(DUE, twice) == ([0] * 5, [0] * 5)
-    assert rewards(DUE, twice, Onset(3, 0.0)) == ([0] * 5, [0] * 5)
-
-
-def test_a_key_that_sounded_before_may_be_struck_anew():
-    """It falls silent in the step, and then plays the next note."""
-    notes = song((0.0, 60, 80), (0.12, 60, 80))
-    timing, _ = rewards(notes, Onset(1, 0.0), Onset(2, 0.02, offset=0.01))
-    assert_allclose(timing, [0, in_time(0.05), 1, 0, 0], atol=1e-9)
-
-
-def test_an_onset_between_two_notes_plays_the_nearer_one():
-    notes = song((0.0, 60, 40), (0.1, 60, 80))
-    timing, loudness = rewards(notes, Onset(1, 0.04))
-    assert_allclose(timing, [0, in_time(0.01), 0, 0, 0], atol=1e-9)
-    assert_allclose(loudness, [0, 1, 0, 0, 0], atol=1e-9)
-
-
-def test_the_notes_of_a_chord_add_up():
-    chord = song((0.07, 60, 80), (0.07, 64, 80))
-    timing, loudness = rewards(chord, Onset(1, 0.02), Onset(1, 0.04, 100, key=E))
-    assert_allclose(timing, [0, 1 + in_time(0.02), 0, 0, 0], atol=1e-9)
-    assert_allclose(loudness, [0, 1 + as_loud(20), 0, 0, 0], atol=1e-9)
+@pytest.mark.parametrize("what", EARNED)
+def test_what_onsets_earn(what):
+    score, onsets, *expected = EARNED[what]
+    assert_allclose(rewards(score, *onsets), expected, atol=1e-9)
 
 
 def test_a_weight_scales_its_term():
