@@ -27,9 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Players, ways_to_hold
-from cadenza.fingering.search import Dropped, find_fingering
+from cadenza.fingering.search import Dropped, solve
 from cadenza.fingering.states import INFEASIBLE
 from cadenza.fingering.strokes import Stroke, onsets
 from cadenza.fingers import RIGHT, SIDES, Finger
@@ -72,16 +71,14 @@ def pianist_fingering(
     """
     if players.reach.num_fingers > _NUM_FINGERS:
         raise CadenzaError("a pianist has five fingers, these hands have more: leave out human")
-    bare = score.without_fingers()
-    split, dropped = find_fingering(bare, players, progress, as_written=True)
+    split = solve(score.without_fingers(), players, progress, as_written=True)
     fingers: list[Finger | None] = [None] * len(score.notes)
-    held = playable(bare, players, as_written=True).held(split)
-    moments = list(onsets(held, players.keyboard.lowest_pitch))
+    moments = list(onsets(split.held, players.keyboard.lowest_pitch))
     for hand in range(len(SIDES)):
         for stroke, index in _HandSearch(hand, players).fingers(moments):
             for note in stroke.notes:
                 fingers[note] = Finger(hand, index)
-    return score.with_fingers(fingers), dropped
+    return score.with_fingers(fingers), split.dropped
 
 
 class _Moment(NamedTuple):

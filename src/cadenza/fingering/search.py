@@ -56,12 +56,14 @@ class Solution:
         score: the score with a finger on every note that is played.
         dropped: the notes that are not played.
         ignored: notes whose given fingers contradict others, or these hands; they keep them.
+        held: the score with each note as long as it is held.
         cost: the cost of all fingers but the ignored.
     """
 
     score: Score
     dropped: tuple[Dropped, ...]
     ignored: tuple[Note, ...]
+    held: Score
     cost: float
 
 
@@ -89,15 +91,8 @@ def find_fingering(
     score = _without_missing_fingers(score, players.reach.num_fingers)
     if all(note.finger is not None for note in score.notes):
         return score, ()
-    # Equal scores may differ in what is written for which hand.
-    hands = tuple(note.hands for note in score.notes) if as_written else ()
-    problem = score, players, costs, hands
-    if problem not in _last_solution:
-        solution = solve(score, players, progress, costs, as_written)
-        _last_solution.clear()
-        _last_solution[problem] = solution
-    solution = _last_solution[problem]
-    # They may differ in bars and tracks, too.
+    solution = solve(score, players, progress, costs, as_written)
+    # Equal scores may differ in bars and tracks.
     return score.with_fingers(n.finger for n in solution.score.notes), solution.dropped
 
 
@@ -119,6 +114,11 @@ def solve(
     as_written: bool = False,
 ) -> Solution:
     """The whole solution of `find_fingering`; for a score with all fingers, their cost."""
+    # Equal scores may differ in what is written for which hand.
+    hands = tuple(note.hands for note in score.notes) if as_written else ()
+    problem = score, players, costs, hands
+    if problem in _last_solution:
+        return _last_solution[problem]
     space = state_space(players)
     stage = first_stage(space)
     steps: list[Backpointers] = []
@@ -132,12 +132,15 @@ def solve(
     fingers = notes_played.ignored | path
     solved = score.with_fingers(n.finger or fingers.get(i) for i, n in enumerate(score.notes))
     notes = solved.notes
-    return Solution(
+    _last_solution.clear()
+    _last_solution[problem] = Solution(
         score=solved,
         dropped=tuple(Dropped(notes[i], why) for i, why in sorted(notes_played.reasons.items())),
         ignored=tuple(notes[i] for i in sorted(notes_played.ignored)),
+        held=notes_played.held(solved),
         cost=float(stage.cost.min()),
     )
+    return _last_solution[problem]
 
 
 # Dynamic programming
