@@ -19,8 +19,8 @@ from cadenza.music.metrics import expressive_metrics
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.protocol import State
-from cadenza.tasks.piano_task import PianoTask, Transition
-from cadenza.tasks.reward import midi_velocity
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.reward import Transition, midi_velocity
 from cadenza.tasks.view import View
 
 

@@ -9,7 +9,8 @@ from cadenza.learning.actions import ActionMapping
 from cadenza.learning.observation import Floats, GoalTable, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import ReplayBuffer, Rows
-from cadenza.tasks.piano_task import PianoTask, Transition
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.reward import Transition
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.augmentation import find_song, unchanged_track
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
-from cadenza.tasks.piano_task import EpisodeStart, PianoTask, Transition
-from cadenza.tasks.reward import RewardTerm, finite_array
+from cadenza.tasks.piano_task import EpisodeStart, PianoTask
+from cadenza.tasks.reward import RewardTerm, Transition, finite_array
 from cadenza.tasks.setups import configure
 from cadenza.tasks.view import TaskSpec, layout_of
 

@@ -24,8 +24,8 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.device_randomization import DeviceRandomization
 from cadenza.tasks.goal_track import UpcomingOnsets, onset_steps
 from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
-from cadenza.tasks.piano_task import PEDAL_DOWN, Transition, offset_joints
-from cadenza.tasks.reward import Outcome, Reward, key_activation, key_state
+from cadenza.tasks.piano_task import PEDAL_DOWN, offset_joints
+from cadenza.tasks.reward import Outcome, Reward, Transition, key_activation, key_state
 from cadenza.tasks.view import task_spec
 
 with extra_packages("gpu", "the engine warp"):
@@ -254,16 +254,11 @@ class FunctionalPianoTask:
             ctrl=ctrl,
             onset_errors=errors,
         )
-        terms = self._reward.terms(outcome)
-        terminated = unstable = state.unstable | lost
-        if self.config.wrong_press_termination:
-            terminated = terminated | (sounding > goal[:, :-1]).any(axis=1)
         done = episodes.steps_done + 1
         over = done >= self.songs.num_steps[song]
         sums = episodes.sums + jnp.stack(step_metrics(sounding, goal[:, :-1]), axis=1)
         after = Episodes(song, done, pedal, lost, notes, sounding, sums, episodes.draws)
-        total: Any = sum(terms.values(), jnp.zeros(len(ctrl)))
-        return after, Transition(total, terms, terminated, over & ~terminated, unstable)
+        return after, self._reward.transition(outcome, lost, over)
 
     def observation(self, episodes: Episodes, state: State) -> Array:
         """(N, D) observations, see `PianoTask.observation`."""

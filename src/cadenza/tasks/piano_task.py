@@ -32,6 +32,7 @@ from cadenza.tasks.reward import (
     Outcome,
     Reward,
     RewardTerm,
+    Transition,
     key_activation,
     key_state,
     midi_velocity,
@@ -42,17 +43,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PEDAL_DOWN = 0.5  # fraction of its range from which on the pedal sustains
-
-
-class Transition(NamedTuple):
-    """The result of a control step; arrays over the batch (N,)."""
-
-    reward: Array
-    terms: dict[str, Array]  # each term of the reward by name; they add up to it
-    # Whether a wrong key sounded and that ends the episode, or the simulation is unstable
-    terminated: Mask
-    truncated: Mask  # whether the score is over
-    unstable: Mask  # whether the simulation diverged, or an action was not a number
 
 
 class EpisodeStart(NamedTuple):
@@ -280,19 +270,10 @@ class PianoTask:
             ctrl=ctrl,
             onset_errors=onset_errors,
         )
-        terms = self._reward.terms(outcome)
-        terminated = unstable = self.state.unstable | self._lost
-        if self.config.wrong_press_termination:
-            terminated = terminated | (self.sounding > goal[:, :-1]).any(axis=1)
-        total = sum(terms.values(), np.zeros(self.num_envs))
-        self.reward[moving] = total[moving]
-        return Transition(
-            reward=total,
-            terms=terms,
-            terminated=terminated,
-            truncated=(goals.steps_done >= goals.num_steps) > terminated,
-            unstable=unstable,
-        )
+        over = goals.steps_done >= goals.num_steps
+        transition = self._reward.transition(outcome, self._lost, over)
+        self.reward[moving] = transition.reward[moving]
+        return transition
 
     def _keep_key_events(self, env_ids: NDArray[np.intp], steps: NDArray[np.intp]) -> None:
         """Keep what happened to keys in the `steps` (n,) that environments (n,) have taken."""

@@ -69,6 +69,17 @@ class Outcome(NamedTuple):
         return f"Outcome({len(self.ctrl)} environments)"
 
 
+class Transition(NamedTuple):
+    """The result of a control step; arrays over the batch (N,)."""
+
+    reward: Array
+    terms: dict[str, Array]  # each term of the reward by name; they add up to it
+    # Whether a wrong key sounded and that ends the episode, or the simulation is unstable
+    terminated: Mask
+    truncated: Mask  # whether the score is over
+    unstable: Mask  # whether the simulation diverged, or an action was not a number
+
+
 RewardTerm = Callable[[Outcome], Array]  # a function that returns a term of the reward, (N,)
 
 
@@ -279,10 +290,11 @@ class Reward:
         self._press = press_offset(scene.keyboard.half_size)
         self._more_terms = _checked(more_terms or {})
 
-    def terms(self, outcome: Outcome) -> dict[str, Array]:
-        """Name -> (N,) each term of the reward.
+    def transition(self, outcome: Outcome, lost: Mask, over: Mask) -> Transition:
+        """What a control step has led to, in environments that are `lost` (N,) or `over` (N,).
 
-        Raises CadenzaError if a term of the user's is not a finite number for each environment.
+        Lost are those with an action that was not a number. Raises CadenzaError if a term of
+        the user's is not a finite number for each environment.
         """
         config, state, keys = self._config, outcome.state, outcome.goal_keys
         press_term = graded_key_press if config.key_press == "graded" else key_press
@@ -307,7 +319,11 @@ class Reward:
         for name, term in self._more_terms.items():
             what = f"reward term {quoted(name)} returned values"
             terms[name] = finite_array(what, term(outcome), (num_envs,), demand)
-        return terms
+        terminated = unstable = state.unstable | lost
+        if config.wrong_press_termination:
+            terminated = terminated | (outcome.sounding > keys).any(-1)
+        total = sum(terms.values(), state.unstable.__array_namespace__().zeros(num_envs))
+        return Transition(total, terms, terminated, over & ~terminated, unstable)
 
     def _fingering(self, outcome: Outcome) -> Array:
         tips, key_xpos = outcome.state.fingertip_xpos, outcome.state.key_xpos
