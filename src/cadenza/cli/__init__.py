@@ -17,21 +17,18 @@ from cadenza.cli import (
     benchmark,
     clone,
     dataset,
-    etude,
-    generalist,
     hand,
     info,
     plan,
     play,
     practice,
-    publish,
     songs,
     studio,
     train,
 )
 from cadenza.cli.arguments import Chosen, choose, parse, print_commands
-from cadenza.cli.console import open_closed_streams, quietly, warnings_in_a_line
 from cadenza.cli.options import Options, reader, with_options_of
+from cadenza.cli.progress import open_closed_streams, quietly, warnings_in_a_line
 from cadenza.errors import explained, is_for_users, on_one_line
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
@@ -51,21 +48,21 @@ COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "leaderboard": (benchmark.Leaderboard, benchmark.leaderboard),
     "train": (train.Train, train.train),
     "clone": (clone.Clone, clone.clone),
-    "publish": (publish.Publish, publish.run),
+    "publish": (clone.Publish, clone.publish_folder),
     "curves": (train.Curves, train.curves),
     "songs": (songs.Songs, songs.songs),
     "libraries": (songs.Libraries, songs.libraries),
     "import": (songs.Import, songs.import_songs),
     "info": (info.Info, info.info),
-    "etude": (etude.Etude, etude.etude),
+    "etude": (songs.Etude, songs.etude),
     "hand measure": (hand.MeasureHand, hand.measure),
     "dataset collect": (dataset.Collect, dataset.collect),
     "dataset info": (dataset.DatasetInfo, dataset.info),
     "dataset play": (dataset.DatasetPlay, dataset.play),
     "dataset export": (dataset.DatasetExport, dataset.export),
-    "generalist clone": (generalist.CloneGeneralist, generalist.clone),
-    "generalist reinforce": (generalist.ReinforceGeneralist, generalist.reinforce),
-    "generalist strike": (generalist.StrikeGeneralist, generalist.strike),
+    "generalist clone": (clone.CloneGeneralist, clone.clone_generalist),
+    "generalist reinforce": (clone.ReinforceGeneralist, clone.reinforce),
+    "generalist strike": (clone.StrikeGeneralist, clone.strike),
 }
 """Name -> the options of a command, and what runs it."""
 GROUPS = {

@@ -15,8 +15,8 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, is_folder
 from cadenza.cli.arguments import Flat, Output, Quiet
-from cadenza.cli.console import in_columns
 from cadenza.cli.options import TRAIN, Options, Read, split_agents
+from cadenza.cli.progress import in_columns
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.cli.saving import check_name, check_writable
 from cadenza.configs import MAX_SEED, whole_number
@@ -68,7 +68,7 @@ def run(command: Bench, read: Read[Bench]) -> None:
     from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
-    check_execution(command)
+    check_execution(command.num_threads, command.execution)
     contenders = _contenders(command, read, agents)
     library = open_library(command.songs)
     if (runs := len(library.songs) * len(agents) * len(seeds)) > _MAX_RUNS:
@@ -85,7 +85,7 @@ def run(command: Bench, read: Read[Bench]) -> None:
     until = "a checkpoint of the runs that train" if trains else "ending the runs under way"
     results = ["cadenza", "results", str(command.output)]
     work = Work(carry_out, is_finished, _result, until, results)
-    run_all(command, jobs, work)
+    run_all(command.output, command.num_threads, command.execution, jobs, work)
 
 
 def _agents(command: Bench) -> list[str]:

@@ -64,7 +64,7 @@ def collect(command: Collect, _: Read[Collect]) -> None:
         raise CadenzaError("there is nothing to play: choose other songs")
     until, summary = "ending the episodes under way", ["cadenza", "dataset", "info"]
     work = Work(record, is_complete, _outcome, until, [*summary, str(command.output)])
-    run_all(command, jobs, work)
+    run_all(command.output, command.num_threads, command.execution, jobs, work)
 
 
 def _check(command: Collect) -> None:
@@ -72,7 +72,7 @@ def _check(command: Collect) -> None:
     from cadenza.music.score import Note, Score
     from cadenza.tasks.piano_task import PianoTask
 
-    check_execution(command)
+    check_execution(command.num_threads, command.execution)
     whole_number(command.episodes, "episodes", 1, _MAX_EPISODES)
     check_ranges(command, {"least_f1": (0, 1)})
     check_ranges(command.variation, {"noise": (0, 10)})

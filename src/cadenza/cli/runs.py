@@ -8,12 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from cadenza.cli.console import stop_on_signal
-from cadenza.cli.progress import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress
+from cadenza.cli.progress import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stop_on_signal
 from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
@@ -34,20 +33,9 @@ class Execution:
     """Number of runs at once. By default as many as the cores allow."""
 
 
-class _Command(Protocol):
-    """A command that carries out many runs."""
-
-    @property
-    def output(self) -> Path: ...
-    @property
-    def execution(self) -> Execution: ...
-    @property
-    def num_threads(self) -> int: ...
-
-
-def check_execution(command: _Command) -> None:
+def check_execution(num_threads: int, execution: Execution) -> None:
     """Raise a CadenzaError if an option of how runs are carried out makes no sense."""
-    for name, number in ("num_threads", command.num_threads), ("jobs", command.execution.jobs):
+    for name, number in ("num_threads", num_threads), ("jobs", execution.jobs):
         if number is not None:
             whole_number(number, name, 1, MAX_THREADS)
 
@@ -68,8 +56,10 @@ class Work:
     """The command that sums the runs up."""
 
 
-def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
-    """Carry out the jobs that are not complete yet, until Ctrl-C, and print what is left.
+def run_all(
+    folder: Path, num_threads: int, execution: Execution, jobs: Sequence[BenchJob], work: Work
+) -> None:
+    """Carry out in a folder the jobs that are not complete yet, until Ctrl-C; print what is left.
 
     Raises KeyboardInterrupt if some runs are left, or CadenzaError if some have failed.
     """
@@ -78,12 +68,10 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
     from cadenza.evaluation.bench import ProcessExecutor, bench
     from cadenza.evaluation.results import write_plan
 
-    check_writable(command.output)
-    write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
+    check_writable(folder)
+    write_plan(folder, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
     with (
-        closing(
-            ProcessExecutor(command.num_threads, command.execution.jobs, work.carry_out)
-        ) as executor,
+        closing(ProcessExecutor(num_threads, execution.jobs, work.carry_out)) as executor,
         progress("running", "runs", SECONDS_BETWEEN_LINES_OF_TRAINING) as advance,
         stop_on_signal(work.until) as stop,
     ):
@@ -98,11 +86,9 @@ def run_all(command: _Command, jobs: Sequence[BenchJob], work: Work) -> None:
                 line = f"{state.done} of {state.total}: {_outcome_line(state, job, work)}"
                 tqdm.write(line, file=sys.stderr)
 
-        retry = command.execution.retry
-        state = bench(
-            jobs, command.output, executor, ended, should_continue, retry, work.is_complete
-        )
-    _print_summary(state, command.output, work.next_command)
+        retry = execution.retry
+        state = bench(jobs, folder, executor, ended, should_continue, retry, work.is_complete)
+    _print_summary(state, folder, work.next_command)
 
 
 def _under_way(state: BenchState) -> Iterator[str]:

@@ -27,6 +27,7 @@ from cadenza.files import (
     write_json,
 )
 from cadenza.music.formats.reading import MUSIC, ending_of
+from cadenza.music.formats.source import printable
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song, bundled
 from cadenza.music.score import Track
@@ -243,8 +244,6 @@ def _library_songs() -> Iterator[Song]:
 
 def _title(name: str) -> str:
     """Return a title that can be shown, made of the name of a file."""
-    name = name.strip()
-    stem, dot, ending = name.rpartition(".")
+    stem, dot, ending = name.strip().rpartition(".")
     bare = stem if f"{dot}{ending}".lower() in MUSIC else name
-    shown = "".join(c if c.isprintable() else " " for c in bare)
-    return " ".join(shown.split())[:_MAX_TITLE] or "Untitled"
+    return printable(bare)[:_MAX_TITLE] or "Untitled"

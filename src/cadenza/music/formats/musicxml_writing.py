@@ -11,7 +11,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cadenza.files import write_atomically
-from cadenza.fingers import RIGHT
+from cadenza.fingers import LEFT, RIGHT
 from cadenza.music.formats.musicxml.dynamics import FORTE
 from cadenza.music.formats.source import printable
 from cadenza.music.notation.marks import PedalMark, TempoMark
@@ -317,10 +317,8 @@ def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]
         yield from ((mark.tick, _pedal(mark)) for mark in here.pedal)
         return
     if here.dynamic:
-        direction = Element("direction", placement="below")
-        kind = SubElement(direction, "direction-type")
-        SubElement(SubElement(kind, "dynamics"), here.dynamic)
-        _text(direction, "staff", 1)
+        direction, sign = _direction("dynamics", RIGHT, "below")
+        SubElement(sign, here.dynamic)
         yield here.measure.start, direction
     yield from ((tempo.tick, _tempo(tempo, here)) for tempo in here.tempos)
 
@@ -330,8 +328,7 @@ def _tempo(tempo: TempoMark, here: WrittenMeasure) -> Element:
     sound = Element("sound", tempo=f"{per_minute:.4f}")
     if not tempo.shown:
         return sound
-    direction = Element("direction", placement="above")
-    mark = SubElement(SubElement(direction, "direction-type"), "metronome")
+    direction, mark = _direction("metronome", RIGHT, "above")
     is_cut = here.measure.written[1] == _HALF
     _text(mark, "beat-unit", "half" if is_cut else "quarter")
     if is_cut:
@@ -340,26 +337,27 @@ def _tempo(tempo: TempoMark, here: WrittenMeasure) -> Element:
         SubElement(mark, "beat-unit-dot")
         per_minute /= _DOTTED
     _text(mark, "per-minute", round(per_minute))
-    _text(direction, "staff", 1)
     direction.append(sound)
     return direction
 
 
 def _pedal(mark: PedalMark) -> Element:
-    direction = Element("direction", placement="below")
     kind = "start" if mark.is_down else "stop"
-    SubElement(SubElement(direction, "direction-type"), "pedal", type=kind, line="yes")
-    _text(direction, "staff", 2)
-    return direction
+    return _direction("pedal", LEFT, "below", type=kind, line="yes")[0]
 
 
 def _octave_shift(kind: str, hand: int) -> Element:
     """An 8va, "down" from what sounds to what is written, or 8vb, or where either stops."""
-    direction = Element("direction", placement="above" if hand == RIGHT else "below")
-    shift = SubElement(SubElement(direction, "direction-type"), "octave-shift", type=kind)
-    shift.set("size", "8")
+    placement = "above" if hand == RIGHT else "below"
+    return _direction("octave-shift", hand, placement, type=kind, size="8")[0]
+
+
+def _direction(tag: str, hand: int, placement: str, **attributes: str) -> tuple[Element, Element]:
+    """A direction for the staff of a hand, and the sign in it."""
+    direction = Element("direction", placement=placement)
+    sign = SubElement(SubElement(direction, "direction-type"), tag, attributes)
     _text(direction, "staff", hand + 1)
-    return direction
+    return direction, sign
 
 
 def _beams(voice: Sequence[Symbol], here: WrittenMeasure) -> dict[int, list[str]]:

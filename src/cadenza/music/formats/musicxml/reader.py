@@ -86,9 +86,9 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     longest = max(placed, key=lambda part: part[-1].measure if part else -1, default=[])
     bars = bars_of(longest, begins)
     read_jumps(placed, bars, begins)
-    sheet, tempo_marks = Unrolled(bars), TempoMarks(placed, begins)
+    sheet, tempo_marks = Unrolled(bars), TempoMarks(placed, begins, counts)
     every = list(_parts(root, placed, begins, plain, counts))
-    remarks = tuple(_remarks(root, counts, tempo_marks, bars, sheet.passages))
+    remarks = tuple(_remarks(root, counts, bars, sheet.passages))
     listed = tuple(part.track for part in every)
     check_chosen(tracks, listed)
     if tracks:
@@ -200,11 +200,7 @@ def _parts(
 
 
 def _remarks(
-    root: Element,
-    counts: Counter[str],
-    tempo_marks: TempoMarks,
-    bars: Sequence[WrittenBar],
-    passages: Sequence[Passage],
+    root: Element, counts: Counter[str], bars: Sequence[WrittenBar], passages: Sequence[Passage]
 ) -> Iterator[str]:
     """Yield remarks on what is left out or changed."""
     lost = without_goal([bar.signs for bar in bars])
@@ -220,9 +216,9 @@ def _remarks(
     yield from counted_remarks(
         (
             (counts["fingering"], "unreadable fingering", "left out"),
-            (tempo_marks.impossible, "impossible tempo", "left out"),
-            (tempo_marks.unclear, "metronome mark without a tempo", "left out"),
-            (tempo_marks.num_usual, "tempo word", AS_USUAL),
+            (counts["impossible"], "impossible tempo", "left out"),
+            (counts["unclear"], "metronome mark without a tempo", "left out"),
+            (counts["usual"], "tempo word", AS_USUAL),
             (counts["microtone"], "microtone", "rounded to a semitone"),
             (counts["unpitched"], "unpitched note", "left out"),
             (counts["silent"], "note", "of no volume left out"),

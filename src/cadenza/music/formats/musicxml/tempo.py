@@ -2,6 +2,7 @@
 
 import re
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -30,8 +31,7 @@ from cadenza.music.signs.words import swing, tempo_change, usual_tempo
 _SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 _PER_MINUTE = re.compile("[0-9]{1,5}([.,][0-9]{1,3})?")
 _MAX_TUPLET = Fraction(64)  # notes
-
-
+_EIGHTH = NOTE_VALUES["eighth"]
 _MINUTE = 60  # seconds
 _FERMATAS = {
     **dict.fromkeys(("angled", "double-angled"), SHORT_FERMATA),
@@ -46,16 +46,20 @@ class TempoMarks:
     """The marks in all parts that change the tempo; where they differ, the first part counts.
 
     A metronome mark counts where there is no tempo for playback. `marks` and `swings` have their
-    places in quarters; `impossible` counts tempos for playback that cannot be, and `unclear`
-    metronome marks that give no tempo. If there are none of either, words such as "Andante" have
-    their usual tempos, and `num_usual` counts them. `begins` is as `timeline` returns it.
+    places in quarters. Without a tempo of either kind, words such as "Andante" have their usual
+    ones. Added to `counts` are those "usual" ones, tempos for playback that are "impossible", and
+    metronome marks that are "unclear", as they give none. `begins` is as `timeline` returns it.
     """
 
-    def __init__(self, parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction]) -> None:
+    def __init__(
+        self,
+        parts: Sequence[Sequence[Placed]],
+        begins: Sequence[Fraction],
+        counts: Counter[str],
+    ) -> None:
         self.marks: list[TempoMark] = []
         self.swings: list[Swing] = []
-        self.impossible = self.unclear = 0
-        self._begins = begins
+        self._begins, self._counts = begins, counts
         self._for_playback: dict[Fraction, Fraction] = {}  # quarters a minute
         self._metronome: dict[Fraction, Fraction] = {}
         self._usual: dict[Fraction, Fraction] = {}
@@ -75,7 +79,7 @@ class TempoMarks:
                 fermata = replace(fermata, factor=CHORALE_FERMATA)
             self.marks.append(fermata)
         given = self._metronome | self._for_playback
-        self.num_usual = 0 if given else len(self._usual)
+        counts["usual"] = 0 if given else len(self._usual)
         for onset, speed in (given or self._usual).items():
             self.marks.append(Tempo(max(ZERO, onset), _MINUTE / float(speed)))
 
@@ -95,7 +99,7 @@ class TempoMarks:
             if _is_possible(speed):
                 self._for_playback[placed.sounds_at(sound)] = speed
             else:
-                self.impossible += 1
+                self._counts["impossible"] += 1
         for metronome in element.iterfind("direction-type/metronome"):
             mark, place = _Metronome(metronome), placed.sounds_at()
             if (shown := mark.quarters_a_minute) is not None:
@@ -105,12 +109,10 @@ class TempoMarks:
             elif mark.slower is not None:
                 self.marks.append(Modulation(place, mark.slower))
             else:
-                self.unclear += not tempos
+                self._counts["unclear"] += not tempos
         for sound in sounds:
             for sign in sound.iterfind("swing"):
-                unit = NOTE_VALUES.get(
-                    sign.findtext("swing-type", "").strip(), NOTE_VALUES["eighth"]
-                )
+                unit = NOTE_VALUES.get(sign.findtext("swing-type", "").strip(), _EIGHTH)
                 shares = (int(number(sign.findtext(tag))) for tag in ("first", "second"))
                 first, second = (min(max(each, 1), _MAX_SWING) for each in shares)
                 self._swing(placed, first, second, unit)
@@ -121,7 +123,7 @@ class TempoMarks:
             if usual := usual_tempo(text):
                 self._usual[placed.sounds_at()] = Fraction(usual)
             if (ratio := swing(text)) and placed.element.find("sound/swing") is None:
-                self._swing(placed, *ratio, NOTE_VALUES["eighth"])
+                self._swing(placed, *ratio, _EIGHTH)
 
     def _swing(self, placed: Placed, first: int, second: int, unit: Fraction) -> None:
         beat = self._begins[placed.measure + 1]  # that of a pickup would be between beats
