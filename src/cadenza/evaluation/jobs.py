@@ -66,7 +66,10 @@ class JobSpec:
     def name(self) -> str:
         """The name of its folder: SONG--AGENT--sSEED--HASH."""
         song, agent = (
-            _end_of(folder_name("-".join(path.split("/")[-2:]))) for path in (self.song, self.agent)
+            folder_name("-".join(path.split("/")[-2:]))
+            .encode()[-_MAX_NAME:]
+            .decode(errors="ignore")
+            for path in (self.song, self.agent)
         )
         return f"{song}--{agent}--s{self.seed}--{self.key}"
 
@@ -152,10 +155,6 @@ def digest_of_files(*configs: Any, others: Sequence[Path] = ()) -> str:
     """
     paths = [*(Path(path) for config in configs for path in files_named(config)), *others]
     return sha256_of(*paths)[:_HASH] if paths else ""
-
-
-def _end_of(name: str) -> str:
-    return name.encode()[-_MAX_NAME:].decode(errors="ignore")
 
 
 def songs_of(library: Library) -> list[tuple[SongFacts, str]]:

@@ -122,7 +122,10 @@ def performed_score(
         lowest_pitch: MIDI number of the first key.
     """
     if events is None:
-        notes = _notes_on_steps(key_activation, dt, lowest_pitch)
+        runs = zip(*key_runs(key_activation), strict=True)
+        notes: Iterable[Note] = (
+            Note(_time(i, dt), _time(j, dt), int(key) + lowest_pitch) for i, j, key in runs
+        )
     else:
         sounded = SoundedNotes(dt)
         for event in events:
@@ -131,11 +134,6 @@ def performed_score(
     moved = np.flatnonzero(np.diff(sustain.astype(np.int8), prepend=0))
     pedal = (PedalEvent(_time(i, dt), 127 if sustain[i] else 0) for i in moved)
     return Score(tuple(notes), tuple(pedal))
-
-
-def _notes_on_steps(key_activation: NDArray[Any], dt: float, lowest_pitch: int) -> Iterator[Note]:
-    for i, j, key in zip(*key_runs(key_activation), strict=True):
-        yield Note(_time(i, dt), _time(j, dt), int(key) + lowest_pitch)
 
 
 def _time(step: np.intp, dt: float) -> float:

@@ -89,7 +89,8 @@ def write_leaderboard(folder: Path, rows: Sequence[Row]) -> list[Path]:
         ),
     )
     table, text = (folder / f"leaderboard.{suffix}" for suffix in ("csv", "md"))
-    write_csv(table, [_without_formulas(row) for row in rows])
+    texts = ({n: _as_text(v) if isinstance(v, str) else v for n, v in row.items()} for row in rows)
+    write_csv(table, list(texts))
     with write_atomically(text) as file:
         file.write(_markdown(rows).encode())
     return [table, text]
@@ -125,12 +126,8 @@ def _mean_of_known(values: NDArray[np.float64]) -> float:
     return float(known.mean()) if len(known) else math.nan
 
 
-def _without_formulas(row: Row) -> Row:
-    """Return a row whose texts no spreadsheet takes for formulas or splits at `;`."""
-    return {name: _as_text(v) if isinstance(v, str) else v for name, v in row.items()}
-
-
 def _as_text(value: str) -> str:
+    """Return a text that no spreadsheet takes for a formula or splits at `;`."""
     value = value.replace(";", ",")
     begins_a_formula = normalize("NFKC", value).startswith(("=", "+", "-", "@"))  # of any width
     return f"'{value}" if begins_a_formula else value

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cadenza.files import write_atomically
 from cadenza.fingers import LEFT, RIGHT
-from cadenza.music.formats.musicxml.dynamics import FORTE
+from cadenza.music.formats.musicxml.marks import FORTE
 from cadenza.music.formats.source import printable
 from cadenza.music.notation.marks import PedalMark, TempoMark
 from cadenza.music.notation.metre import QUARTER

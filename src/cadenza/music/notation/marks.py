@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.music.formats.musicxml.dynamics import VELOCITIES
+from cadenza.music.formats.musicxml.marks import VELOCITIES
 from cadenza.music.notation.metre import QUARTER, Metre
 from cadenza.music.score import PEDAL_DOWN, PedalEvent
 from cadenza.music.viterbi import cheapest_sequence

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 from xml.etree.ElementTree import Element
 
 from cadenza.errors import CadenzaError
-from cadenza.music.formats.musicxml.dynamics import Move
+from cadenza.music.formats.musicxml.marks import Move
 from cadenza.music.formats.musicxml.notes import SheetNote
 from cadenza.music.formats.musicxml.timeline import ZERO, Placed, number, numbers_in
 from cadenza.music.score import BEAT_TYPES, MAX_SIGNS, PITCHES, key_above

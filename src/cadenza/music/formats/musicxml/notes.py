@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 from cadenza.fingers import Finger
-from cadenza.music.formats.musicxml.dynamics import PartLoudness
+from cadenza.music.formats.musicxml.marks import PartLoudness
 from cadenza.music.formats.musicxml.timeline import (
     MAX_STAVES,
     ZERO,
@@ -38,6 +38,7 @@ from cadenza.music.signs.notes import (
 _FINGERS = "12345"
 _STAVES = 2  # of a part for both hands: the upper one is for the right hand
 _OTHER_STAVES = frozenset(("ossia", "cue", "editorial", "alternate"))
+"""Types of staves with what may be played instead of another, or is for reference only."""
 _MARKS = {
     "staccato": Mark.STACCATO,
     "staccatissimo": Mark.STACCATISSIMO,
@@ -113,16 +114,18 @@ def notes_of(
     loudness = PartLoudness(part, plain)
     key = attribute(part, "key", lambda each: int(number(each.findtext("fifths"))), 0)
     transposition = attribute(part, "transpose", _transposition, _Transposition())
-    is_other = attribute(part, "staff-details[staff-type]", _is_other_staff, before=False)
-    is_slashed = attribute(part, "measure-style[slash]", _is_slashed, before=False)
-    others = [is_other(placed) for placed in written]
+    kind = attribute(
+        part, "staff-details[staff-type]", lambda e: e.findtext("staff-type", "").strip(), ""
+    )
+    slash = attribute(part, "measure-style[slash]", lambda e: e.find("slash[@type='start']"), None)
+    others = [kind(placed) in _OTHER_STAVES for placed in written]
     graces, hand_of = _graces(written), _hands_of(part, others)
     notes: list[SheetNote] = []
     for index, placed in enumerate(written):
         note, hand, grace = placed.element, hand_of[index], graces.get(index)
         if note.find("cue") is not None or note.find("rest") is not None:
             continue
-        is_slash = note.findtext("notehead", "").strip() == "slash" or is_slashed(placed)
+        is_slash = note.findtext("notehead", "").strip() == "slash" or slash(placed) is not None
         velocity = loudness.velocity(placed)
         why = "other staff" if others[index] else silence(placed)
         why = why or ("slash" if is_slash else "" if velocity else "silent")
@@ -159,16 +162,6 @@ def notes_of(
             octave = replace(signed, pitch=signed.pitch + shift.doubled, finger=None)
             notes.append(replace(notes[-1], signed=octave))
     return notes
-
-
-def _is_other_staff(details: Element) -> bool:
-    """Whether a staff has what may be played instead of another, or is for reference only."""
-    return details.findtext("staff-type", "").strip() in _OTHER_STAVES
-
-
-def _is_slashed(style: Element) -> bool:
-    """Whether slashes stand for notes from a style of measures on."""
-    return style.find("slash[@type='start']") is not None
 
 
 def _written_pitch(note: Element, counts: Counter[str]) -> tuple[int, int] | None:

@@ -15,16 +15,16 @@ import numpy as np
 
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.music.formats.musicxml.bars import Passage, Unrolled, WrittenBar, bars_of, without_goal
-from cadenza.music.formats.musicxml.dynamics import (
+from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
+from cadenza.music.formats.musicxml.marks import (
     PEDALS,
     Move,
+    TempoMarks,
     has_soft_pedal,
     pedal_moves,
     sostenuto_words,
 )
-from cadenza.music.formats.musicxml.jumps import JUMPS, read_jumps
 from cadenza.music.formats.musicxml.notes import SheetNote, notes_of
-from cadenza.music.formats.musicxml.tempo import TempoMarks
 from cadenza.music.formats.musicxml.timeline import (
     ZERO,
     Placed,
