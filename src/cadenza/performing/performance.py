@@ -25,7 +25,7 @@ from cadenza.performing.setup import Setup, SomeAgent, find_player, set_up
 from cadenza.performing.verdict import Advice, advice, verdict
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.sound import bit_rate_of, encode_opus, synthesize
+from cadenza.report.sound import encode_opus, synthesize
 from cadenza.report.tone import Tone, tone
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
@@ -146,20 +146,16 @@ class Performance:
 
     def _page(self, folder: Path, voice: Tone) -> Iterator[str]:
         """Return the page, see `performance_page`, with the MIDI files that lie in the folder."""
-        played, seconds = self.played, self.seconds
-        written = self.fingered_goal.until(seconds)
-        sound = synthesize(written, voice=voice)
+        seconds, written = self.seconds, self.fingered_goal.until(self.seconds)
         return performance_page(
             self.episode,
             plain(self.metrics),
             plain(self.settings),
-            synthesize(played, voice=voice),
-            verdict=verdict(played, written, self.metrics),
+            synthesize(self.played, voice),
+            verdict=self.verdict,
             misses=plain(self.losses),
             arrangement=[plain(fate.as_json) for fate in self.fates or ()],
-            goal_sound=encode_opus(
-                sound, bit_rate=bit_rate_of(seconds, mono=True), mono=True, seconds=seconds
-            ),
+            goal_sound=encode_opus(synthesize(written, voice), mono=True, seconds=seconds),
             midi=content_of(folder / "played.mid"),
             wanted_midi=content_of(folder / "wanted.mid"),
             written=self.fingered_goal,

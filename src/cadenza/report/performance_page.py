@@ -23,7 +23,7 @@ from cadenza.music.performance import SAME_NOTE, played_in
 from cadenza.music.score import MS_PER_SECOND, Note, Score
 from cadenza.report.engraving import engraving_within
 from cadenza.report.html_pages import PLAYING, in_base64, render
-from cadenza.report.sound import Samples, bit_rate_of, encode_opus
+from cadenza.report.sound import Samples, encode_opus
 
 STYLES = ("uplot.min.css", "page.css", "chart.css", "score.css")
 SCRIPTS = (*PLAYING, "rewards.js", "expression.js", "film.js", "page.js")
@@ -93,7 +93,7 @@ def performance_page(
         remarks = [*remarks, f"no sheet music here: engraving took over {_PATIENCE:g} s"]
     # At least as long as the episode: the page's clock is this sound.
     seconds = episode.num_steps * episode.dt
-    sound = encode_opus(audio, bit_rate_of(seconds), seconds=seconds)
+    sound = encode_opus(audio, seconds=seconds)
     yield from render(
         "performance.html",
         title=episode.song or "Untitled",
@@ -211,16 +211,7 @@ def recording_of(
     misses: Iterable[Mapping[str, Any]],
     arrangement: Iterable[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Return what `recording.js` reads, as JSON has it.
-
-    Args:
-        episode: what was played.
-        written: what was to be played, on the clock of the episode; with None, the page cannot show
-            how the loudness and the timing of what was played differ from it.
-        misses: the notes that were lost, as `misses.json` has them.
-        arrangement: what became of each note of a song that was arranged, as `arrangement.json`
-            has it.
-    """
+    """Return what `recording.js` reads, as JSON has it; see `performance_page`."""
     scene = episode.scene
     joints = episode["hand_qpos"] if scene.get("skeleton") else np.empty((episode.num_steps, 0))
     depth = episode.key_depth

@@ -106,13 +106,13 @@ def synthesize(score: Score, voice: Tone = tone) -> Sound:
 
 
 def encode_opus(
-    audio: Samples, bit_rate: int = 96_000, mono: bool = False, seconds: float = 0.0
+    audio: Samples, bit_rate: int | None = None, mono: bool = False, seconds: float = 0.0
 ) -> bytes:
     """Return `audio` as a WebM file with Opus, which every browser plays.
 
     Args:
         audio: what sounds.
-        bit_rate: of the file, bits a second, which it has about.
+        bit_rate: of the file, bits a second, which it has about; see `bit_rate_of`.
         mono: whether both channels are mixed into one.
         seconds: what the file lasts at least; silence is added where the audio is shorter.
     """
@@ -121,7 +121,7 @@ def encode_opus(
         layout = "mono" if mono else "stereo"
         frames = {"frame_duration": str(_OPUS_FRAME)}
         stream = container.add_stream("libopus", rate=_OPUS_RATE, layout=layout, options=frames)
-        stream.bit_rate = bit_rate
+        stream.bit_rate = bit_rate_of(seconds, mono) if bit_rate is None else bit_rate
         length = max(len(audio), int(np.ceil(seconds * SAMPLE_RATE)))
         write_audio(container, stream, audio, length)
     return buffer.getvalue()

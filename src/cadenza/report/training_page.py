@@ -133,14 +133,6 @@ def _end(runs: Sequence[Curve]) -> float:
     return max((end for end in ends if end < _MAX_VALUE), default=0) or 1
 
 
-def _tasks(runs: Sequence[Curve]) -> dict[str, list[int]]:
-    """Return the numbers of the runs of each task."""
-    tasks: dict[str, list[int]] = {}
-    for i, run in enumerate(runs):
-        tasks.setdefault(run.task, []).append(i)
-    return tasks
-
-
 def _points(run: Curve, column: str, above: float = -_MAX_VALUE) -> Points:
     """Return the values of a column that can be drawn and lie `above`, by control steps."""
     known = [
@@ -197,7 +189,9 @@ def _line(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) 
 
 def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
     """Return style, name and runs of each line: of a run each and of all, or of a task each."""
-    tasks = _tasks(runs)
+    tasks: dict[str, list[int]] = {}
+    for i, run in enumerate(runs):
+        tasks.setdefault(run.task, []).append(i)
     if len(tasks) > 1:
         return [(_style(i), task, tasks[task]) for i, task in enumerate(tasks)]
     numbers = list(range(len(runs)))

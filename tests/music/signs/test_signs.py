@@ -15,9 +15,11 @@ from cadenza.music.signs.tempo_map import (
     TempoChange,
     TempoMap,
     TempoWord,
+    loudness_step,
     says_tempo,
+    swing,
+    tempo_change,
 )
-from cadenza.music.signs.words import loudness_step, swing, tempo_change
 
 QUARTERS = [Q(k) for k in range(17)]
 

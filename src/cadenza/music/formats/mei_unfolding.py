@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
 from cadenza.music.formats.musicxml.bars import Signs, WrittenBar, played_order, without_goal
 from cadenza.music.formats.musicxml.jumps import JumpReader
-from cadenza.music.signs.words import usual_tempo
+from cadenza.music.signs.tempo_map import usual_tempo
 
 _ID = "xml:id"
 _NAMESPACE = "http://www.music-encoding.org/ns/mei"

@@ -15,7 +15,6 @@ import mido
 
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import write_atomically
-from cadenza.music.formats.midi_channels import Channel
 from cadenza.music.formats.midi_messages import (
     INSTRUMENTS,
     KEY,
@@ -30,7 +29,7 @@ from cadenza.music.formats.midi_messages import (
     MidiFile,
     parsed,
 )
-from cadenza.music.formats.midi_playing import Part, Playing
+from cadenza.music.formats.midi_playing import Channel, Part, Playing
 from cadenza.music.formats.source import printable, read_bytes, title_of
 from cadenza.music.repair import merged_pedal, repaired_notes
 from cadenza.music.score import (

@@ -25,7 +25,7 @@ from cadenza.music.formats.midi_messages import METRE, TEMPO, Message, parsed
 from cadenza.music.formats.source import printable, read_bytes, title_of
 from cadenza.music.repair import counted_remarks
 from cadenza.music.score import BEAT_TYPES, Score
-from cadenza.music.signs.words import AS_USUAL
+from cadenza.music.signs.tempo_map import AS_USUAL
 
 if TYPE_CHECKING:
     from cadenza.music.formats.mei_unfolding import MeiBar

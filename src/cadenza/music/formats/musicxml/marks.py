@@ -30,8 +30,11 @@ from cadenza.music.signs.tempo_map import (
     Tempo,
     TempoMark,
     TempoWord,
+    loudness_step,
+    swing,
+    tempo_change,
+    usual_tempo,
 )
-from cadenza.music.signs.words import loudness_step, swing, tempo_change, usual_tempo
 
 FORTE = 90  # the velocity that MusicXML's `dynamics` attributes are in percent of
 VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}

@@ -38,8 +38,7 @@ from cadenza.music.formats.source import printable, title_of
 from cadenza.music.repair import RawNote, counted_remarks, merged_pedal, repaired_notes
 from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
 from cadenza.music.signs.realising import realised
-from cadenza.music.signs.tempo_map import Swing, TempoMap, says_tempo
-from cadenza.music.signs.words import AS_USUAL
+from cadenza.music.signs.tempo_map import AS_USUAL, Swing, TempoMap, says_tempo
 
 _DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
 _DRUM_CHANNEL = 10
