@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from begun import begun
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
@@ -20,7 +21,6 @@ def melody(*pitches: int, length: float = 0.4, pedal: bool = False) -> Score:
 
 
 def whole_plan(score: Score, delays: int | np.ndarray = 0) -> SongPlan:
-    task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
-    task.reset([np.random.default_rng(0)], [0])
+    task = begun(PianoTask([score], BUFFER, SceneConfig(hands="right")))
     start = task.state.hand_qpos[0]
     return plan_song(task.goals.tracks[0], start, release_delays=delays)

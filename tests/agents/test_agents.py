@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from begun import begun
 from cadenza.agents.agent import Agent, ZeroAgent
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.planner.config import PredictiveSamplingConfig
@@ -64,9 +65,8 @@ def test_a_plan_is_measured_by_the_goals_of_the_steps_in_which_it_is_carried_out
 def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end(
     right_hand, monkeypatch
 ):
-    task, planner = PianoTask([TUNE], CONFIG, right_hand), PredictiveSampling(ONE_CANDIDATE)
-    task.reset([np.random.default_rng(0)], [0])
-    planner.reset([0], [np.random.default_rng(0)])
+    planner = PredictiveSampling(ONE_CANDIDATE)
+    task = begun(PianoTask([TUNE], CONFIG, right_hand), planner)
     planner.act(task.view())
     here, there = np.random.default_rng(1).uniform(
         task.spec.action_low, task.spec.action_high, (2, 20)
@@ -85,11 +85,9 @@ def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end
 def test_a_plan_costs_the_same_alone_and_among_others(right_hand, monkeypatch):
     planner = PredictiveSampling(PredictiveSamplingConfig(num_candidates=4))
     alone = PredictiveSampling(ONE_CANDIDATE)
-    task = PianoTask([TUNE], CONFIG, right_hand)
-    task.reset([np.random.default_rng(0)], [0])
+    task = begun(PianoTask([TUNE], CONFIG, right_hand), planner, alone)
     compared = watched(monkeypatch, SamplingPlanner, "costs")
     for agent in (planner, alone):
-        agent.reset([0], [np.random.default_rng(0)])
         agent.act(task.view())
     (_, candidates, _), costs = compared[0]
     for candidate, expected in zip(candidates, costs, strict=True):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from begun import begun
 from cadenza.agents.planner.config import ILQGConfig, PredictiveSamplingConfig
 from cadenza.agents.registry import AGENTS, PLAYBACK, PRETRAINED, agent_options, make_agent
 from cadenza.agents.rollout import play_episode
@@ -69,9 +70,8 @@ class TestAgent:
             assert np.isfinite(result.metrics["return"])
 
     def test_to_act_leaves_the_task_as_it_is(self, runs, scene):
-        agent, task = make_agent(runs[0], QUICK.get(runs[0])), PianoTask([TUNE], TASK, scene)
-        task.reset([np.random.default_rng(0)], [0])
-        agent.reset([0], [np.random.default_rng(0)])
+        agent = make_agent(runs[0], QUICK.get(runs[0]))
+        task = begun(PianoTask([TUNE], TASK, scene), agent)
         seen, physics = task.observation(), task.simulation.physics_state(0)
         agent.act(task.view())
         assert_array_equal(task.observation(), seen)

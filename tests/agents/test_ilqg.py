@@ -12,6 +12,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 from threadpoolctl import threadpool_limits
 
+from begun import begun
 from cadenza.agents.agent import Agent, ZeroAgent
 from cadenza.agents.baselines.ilqg import (
     ILQG,
@@ -245,14 +246,11 @@ class WatchedEpisode(ILQGPlanner):
         return controls, cost
 
 
-def begun(
+def started(
     planner: Agent, scene: Scene, silent: bool = False, score: Score = TUNE, **options: Any
 ) -> PianoTask:
     config = TaskConfig(initial_buffer_time=0.3 if silent else 0.0, **options)
-    task = PianoTask([score], config, scene)
-    task.reset([np.random.default_rng(0)], [0])
-    planner.reset([0], [np.random.default_rng(0)])
-    return task
+    return begun(PianoTask([score], config, scene), planner)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +258,7 @@ def begun(
 )
 def test_the_gradient_is_that_of_the_cost(right_hand, score, fingering):
     planner = WatchedPlanner(ILQGConfig(horizon=0.05, centred=True))
-    task = begun(planner, right_hand, score=score, fingering=fingering)
+    task = started(planner, right_hand, score=score, fingering=fingering)
     planner.act(task.view())
     planner = planner.planners[0]
     start = task.simulation.physics_state(0)
@@ -288,7 +286,7 @@ def perform(agent: Agent, scene: Scene, **options: Any) -> EpisodeResult:
 def test_the_next_plan_begins_with_the_last_one_a_step_later(right_hand, monkeypatch):
     for part in ("approximate", "improve"):  # nothing is found that is better
         monkeypatch.setattr(ILQGPlanner, part, lambda *_: None)
-    task = begun(planner := ILQG(ILQGConfig(horizon=0.15)), right_hand)
+    task = started(planner := ILQG(ILQGConfig(horizon=0.15)), right_hand)
     planner.act(task.view())
     planned = planner.planners[0]
     planned.nominal = nominal = np.random.default_rng(0).uniform(-1, 1, (3, 19))
@@ -299,7 +297,7 @@ def test_the_next_plan_begins_with_the_last_one_a_step_later(right_hand, monkeyp
 
 def test_planning_lowers_its_cost(right_hand):
     planner = WatchedPlanner(ILQGConfig(horizon=0.1, iterations=4))
-    planner.act(begun(planner, right_hand).view())
+    planner.act(started(planner, right_hand).view())
     costs = planner.planners[0].costs
     first, *_, last = costs
     assert last.min() < 0.9 * first[0]
@@ -330,7 +328,7 @@ def test_same_bits_for_any_number_of_threads():
 def test_plans_for_other_hands(hands):
     scene = build_scene(SceneConfig(hands=hands, physics="fast"))
     planner = ILQG(SHORT)
-    task = begun(planner, scene)
+    task = started(planner, scene)
     task.step(planner.act(task.view()))
     (action,) = planner.act(task.view())
     assert action.shape == (task.spec.action_size,)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from begun import begun
 from cadenza import CadenzaError, DomainRandomization, Note, Score, TaskConfig
 from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.lateness import Lateness, StateEstimator, earlier
@@ -27,9 +28,8 @@ def scene():
 
 
 def task_of(scene: Scene, **options: Any) -> PianoTask:
-    task = PianoTask([TUNE], TaskConfig(randomization=DomainRandomization(**options)), scene)
-    task.reset([np.random.default_rng(0)], [0])
-    return task
+    config = TaskConfig(randomization=DomainRandomization(**options))
+    return begun(PianoTask([TUNE], config, scene))
 
 
 def actions(task: PianoTask, steps: int) -> np.ndarray:

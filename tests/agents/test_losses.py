@@ -5,6 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from begun import begun
 from cadenza.agents.planner.plan.hand_goals import HandGoals, last_in_time, may_begin
 from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.agents.planner.practice.losses import KeyEvents, Losses, StepLoss, WrittenNotes
@@ -81,8 +82,7 @@ def test_faults_of_notes_are_those_of_note_onset_f1(seed):
         for key in keys
         for start in np.cumsum(rng.uniform(0.22, 0.6, 18)).round(3).tolist()
     ]
-    task = PianoTask([Score(tuple(notes))], TIMELY, SceneConfig(hands="right"))
-    task.reset([np.random.default_rng(0)], [0])
+    task = begun(PianoTask([Score(tuple(notes))], TIMELY, SceneConfig(hands="right")))
     plan = plan_song(task.goals.tracks[0], task.state.hand_qpos[0])
     written, steps = WrittenNotes(plan, HandGoals(plan, "right")), plan.goals.num_steps
     sounding, onset, offset = drawn_events(rng, steps, [*keys, KEY + 2])
@@ -104,8 +104,7 @@ def test_faults_of_notes_are_those_of_note_onset_f1(seed):
 
 def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset():
     score = Score((Note(0.52, 1.0, PITCH, 60), Note(0.52, 1.0, PITCH + 4, 60)))
-    task = PianoTask([score], TaskConfig(), SceneConfig(hands="right"))
-    task.reset([np.random.default_rng(0)], [0])
+    task = begun(PianoTask([score], TaskConfig(), SceneConfig(hands="right")))
     plan = plan_song(task.goals.tracks[0], task.state.hand_qpos[0], strikes=True)
     goals, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
     losses, strikes = Losses(plan, goals), goals.strikes

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from begun import begun
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import Generalist, shipped_for
@@ -25,10 +26,8 @@ def test_proposes_what_the_generalist_plays(monkeypatch: pytest.MonkeyPatch) -> 
     # Nothing proposes how fingers strike: the search refines that.
     monkeypatch.setattr(CorrectedHands, "touched", lambda *given: given[2:4])
     score = load_score("OdeToJoy").beginning(3.0)
-    task = PianoTask([score], TASK, SceneConfig(hands="right"))
     agent = Generalist()
-    task.reset([np.random.default_rng(0)], [0])
-    agent.reset([0], [np.random.default_rng(0)])
+    task = begun(PianoTask([score], TASK, SceneConfig(hands="right")), agent)
     trials = HandRollouts(task.scene, TASK.control_timestep)
     played, proposed = list[Array](), list[Array]()
     before = np.zeros(task.spec.action_size - 1)

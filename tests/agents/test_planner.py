@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import cadenza
+from begun import begun
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
@@ -107,10 +108,8 @@ def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch):
 
 def test_notes_without_a_finger_are_listed():
     cluster = Score(tuple(Note(0.0, 0.5, p) for p in range(40, 60)))
-    task = PianoTask([cluster], BUFFER)
     agent = Planner()
-    task.reset([np.random.default_rng(0)], [0])
-    agent.reset([0], [np.random.default_rng(0)])
+    task = begun(PianoTask([cluster], BUFFER), agent)
     agent.act(task.view())
     track = agent.planners[0].plan.track
     assert track is task.goals.tracks[0]
@@ -122,11 +121,8 @@ def test_fingers_of_the_score_are_taken_on_request():
         melody(60, 62),
         notes=(Note(0, 0.4, 60, finger=finger(2)), Note(0.4, 0.8, 62, finger=finger(1))),
     )
-    task = PianoTask([score], BUFFER)
-    task.reset([np.random.default_rng(0)], [0])
     agent = Planner(PlannerConfig(fingering="score"))
-    agent.reset([0], [np.random.default_rng(0)])
-    agent.act(task.view())
+    agent.act(begun(PianoTask([score], BUFFER), agent).view())
     assert [press.finger for press in agent.planners[0].plan.nominal.presses] == [2, 1]
 
 

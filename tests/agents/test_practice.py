@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 import cadenza
+from begun import begun
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.planner import Planner
@@ -106,10 +107,9 @@ def practice(
     task: TaskConfig = QUICK,
     scene: SceneConfig | None = None,
 ) -> Practice:
-    begun = PianoTask([score], task, scene)
-    begun.reset([np.random.default_rng(0)], [0])
     context = PlanningContext(config, Threads(num_threads))
-    return Practice(begun.view(), np.random.default_rng(seed), context)
+    view = begun(PianoTask([score], task, scene)).view()
+    return Practice(view, np.random.default_rng(seed), context)
 
 
 def restored(begun: Practice, left: Practice, tmp_path: Path) -> Practice:
@@ -160,9 +160,8 @@ def test_the_first_take_is_what_the_planner_plays():
     played = play_episode(PianoTask([score], QUICK), planner, 0).episode["action"]
     task_rng, rng = np.random.default_rng(0).spawn(2)
     del task_rng
-    task = PianoTask([score], QUICK)
-    task.reset([np.random.default_rng(0)], [0])
-    take = Practice(task.view(), rng, PlanningContext(PlannerConfig(), Threads(1)))
+    view = begun(PianoTask([score], QUICK)).view()
+    take = Practice(view, rng, PlanningContext(PlannerConfig(), Threads(1)))
     take.run(0.0)
     np.testing.assert_array_equal(take.best().practised.tracking.ctrl, played[:, :-1])
 

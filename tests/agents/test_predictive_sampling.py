@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from begun import begun
 from cadenza.agents.agent import Agent
 from cadenza.agents.baselines import predictive_sampling
 from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
@@ -32,11 +33,8 @@ def right_hand():
     return build_scene(SceneConfig(hands="right"))
 
 
-def begun(agent: Agent, scene: Scene) -> PianoTask:
-    task = PianoTask([CHORD], TaskConfig(initial_buffer_time=0.0), scene)
-    task.reset([np.random.default_rng(0)], [0])
-    agent.reset([0], [np.random.default_rng(0)])
-    return task
+def started(agent: Agent, scene: Scene) -> PianoTask:
+    return begun(PianoTask([CHORD], TaskConfig(initial_buffer_time=0.0), scene), agent)
 
 
 def test_the_defaults_are_the_figures_of_the_paper():
@@ -53,7 +51,7 @@ def test_a_plan_costs_the_distance_of_keys_and_the_mean_distance_of_fingers(
     rolled_out = watched(monkeypatch, PlanningSimulation, "rollout")
     planned = watched(monkeypatch, SamplingPlanner, "costs")
     agent = PredictiveSampling(PredictiveSamplingConfig(num_candidates=2))
-    agent.act(begun(agent, right_hand).view())
+    agent.act(started(agent, right_hand).view())
     ((_, states),), ((_, costs),) = rolled_out, planned
     assert states.key_qpos.shape == (2, 20, 88)  # a fifth of a second
     assert_allclose(costs, [cost_of(states, i, right_hand) for i in range(2)])
@@ -85,7 +83,7 @@ def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
     rolled_out = watched(monkeypatch, PlanningSimulation, "rollout")
     searched = watched(monkeypatch, ILQGPlanner, "line_search")
     agent = ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2, control_weight=1e-9))
-    agent.act(begun(agent, right_hand).view())
+    agent.act(started(agent, right_hand).view())
     ((_, states),), (((planner, *_), (controls, cost)),) = rolled_out, searched
     cost = cost - 1e-9 / 2 * ((controls - planner.rest) ** 2).sum(axis=(1, 2))
     assert_allclose(cost, [cost_of(states, i, right_hand, (0.1, 0.01)) for i in range(3)])
@@ -96,7 +94,7 @@ def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
 )
 def test_plans_in_physics_steps_of_10_ms(right_hand, agent, monkeypatch):
     rolled_out = watched(monkeypatch, PlanningSimulation, "rollout")
-    agent.act(begun(agent, right_hand).view())
+    agent.act(started(agent, right_hand).view())
     for (simulation, _), _ in rolled_out:
         assert (simulation.num_substeps, simulation.scene.model.opt.timestep) == (1, 0.01)
     assert right_hand.model.opt.timestep == 0.005  # of the performance
@@ -112,7 +110,7 @@ def test_candidates_lie_sigma_around_the_best(right_hand, monkeypatch):
 
     monkeypatch.setattr(SamplingPlanner, "costs", costs)
     agent = PredictiveSampling(PredictiveSamplingConfig(num_candidates=500))
-    task = begun(agent, right_hand)
+    task = started(agent, right_hand)
     agent.act(task.view())
     low, high = task.spec.action_low[:-1], task.spec.action_high[:-1]
     best, *others = drawn[0][:, 0]  # at the first knot
@@ -124,7 +122,7 @@ def test_candidates_lie_sigma_around_the_best(right_hand, monkeypatch):
 def test_iterations_never_make_a_plan_worse(right_hand, monkeypatch):
     planned = watched(monkeypatch, SamplingPlanner, "costs")
     agent = PredictiveSampling(PredictiveSamplingConfig(iterations=8))
-    agent.act(begun(agent, right_hand).view())
+    agent.act(started(agent, right_hand).view())
     best = [costs.min() for _, costs in planned]
     assert len(best) == 8
     assert all(after <= before for before, after in pairwise(best))
@@ -161,7 +159,7 @@ class Clock:
 def test_a_budget_of_time_ends_the_search(right_hand, monkeypatch, budget, seconds, iterations):
     clock = Clock(seconds, monkeypatch)
     agent = PredictiveSampling(PredictiveSamplingConfig(budget=budget, iterations=7))
-    task = begun(agent, right_hand)
+    task = started(agent, right_hand)
     done = []
     for _ in iterations:
         before = clock.iterations

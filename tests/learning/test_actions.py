@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody
 
+from begun import begun
 from cadenza.agents.agent import Agent
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import EpisodeResult, play_episode
@@ -73,8 +74,7 @@ def test_it_begins_where_the_hands_do():
 
 
 def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal():
-    task = PianoTask([SONG], TaskConfig(**BUFFER))
-    task.reset([np.random.default_rng(0)], [0])
+    task = begun(PianoTask([SONG], TaskConfig(**BUFFER)))
     mapping = ActionMapping(task.spec, reference())
     plain, moved = (
         mapping.ctrl(

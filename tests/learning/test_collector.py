@@ -17,6 +17,7 @@ from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from learnt import random_policy
 
 # Episodes of different lengths that begin anywhere, and one may end at a wrong key.
 RANDOM = TaskConfig(
@@ -86,18 +87,7 @@ class Run:
 
 
 def some_policy(run: Run) -> Perceptron:
-    rng = np.random.default_rng(1)
-    inputs, actions = len(run.observer.inputs.kept), run.task.spec.action_size
-    weights = {
-        f"{name}/{part}": rng.normal(0, 0.1, shape).astype(np.float32)
-        for name, sizes in {
-            "hidden_0": (inputs, 8),
-            "mean": (8, actions),
-            "log_std": (8, actions),
-        }.items()
-        for part, shape in {"kernel": sizes, "bias": sizes[1:]}.items()
-    }
-    return Perceptron(weights, "relu", (-20, 2))
+    return random_policy(len(run.observer.inputs.kept), run.task.spec.action_size, 8)
 
 
 def test_the_transitions_are_those_of_the_task():

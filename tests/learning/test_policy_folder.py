@@ -33,6 +33,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from learnt import random_policy
 from numbered import finger
 
 # Times that no decimal of a few digits says exactly.
@@ -57,20 +58,10 @@ def some_policy(
     scores = GoalTable(shown.spec, shown.tracks)
     observation = ObservationSpec.of(shown.spec, residual)
     inputs = pruned(observation, *scores.ever_wanted()) if prune else observation.inputs
-    rng = np.random.default_rng(0)
-
-    def layer(name: str, *shape: int) -> dict[str, np.ndarray]:
-        return {
-            f"{name}/kernel": rng.normal(0, 0.2, shape).astype(np.float32),
-            f"{name}/bias": rng.normal(0, 0.2, shape[-1]).astype(np.float32),
-        }
-
-    actions = shown.spec.action_size
-    weights = layer("hidden_0", len(inputs.kept), 16) | layer("hidden_1", 16, 16)
-    weights |= layer("mean", 16, actions) | layer("log_std", 16, actions)
+    sizes = len(inputs.kept), shown.spec.action_size, 16, 16
+    policy = random_policy(*sizes, activation="gelu", size=0.2)
     reference = reference_of(shown) if residual else None
     ranges = ranges_of(shown) if ranged else None
-    policy = Perceptron(weights, "gelu", (-20.0, 2.0))
     return LearntPolicy(policy, observation, inputs, reference, ranges, config, scene, SONG)
 
 
@@ -81,8 +72,8 @@ def played(learnt: LearntPolicy) -> EpisodeResult:
 @pytest.mark.parametrize("kind", ["plain", "residual", "ranged"])
 def test_comes_back_exactly_and_plays_the_same(tmp_path, kind):
     learnt = some_policy(kind == "residual", kind == "ranged")
-    save_policy(tmp_path / "policy", learnt, {"step": 3})
-    again = load_policy(tmp_path / "policy")
+    save_policy(tmp_path, learnt, {"step": 3})
+    again = load_policy(tmp_path)
     nothing: dict[str, Any] = {"policy": None, "reference": None, "ranges": None}
     assert replace(again, **nothing) == replace(learnt, **nothing)
     assert again.residual == learnt.residual == (kind == "residual")
@@ -122,7 +113,7 @@ def test_corrections_are_of_the_song_that_was_learnt():
 
 
 def test_playing_needs_nothing_that_learning_needs(tmp_path):
-    save_policy(tmp_path / "policy", some_policy(), {})
+    save_policy(tmp_path, some_policy(), {})
     program = f"""
 import sys
 from pathlib import Path
@@ -130,7 +121,7 @@ from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import load_policy
 from cadenza.agents.rollout import play_episode
 from cadenza.tasks.piano_task import PianoTask
-learnt = load_policy(Path({str(tmp_path / "policy")!r}))
+learnt = load_policy(Path({str(tmp_path)!r}))
 metrics = play_episode(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent).metrics
 learning = {{"jax", "jaxlib", "flax", "optax", "orbax", "tensorboardX", "wandb"}}
 print(metrics["steps"], sorted(learning & {{name.split(".")[0] for name in sys.modules}}))
@@ -154,41 +145,32 @@ def test_no_file_has_a_module_imported(tmp_path, option):
     """Nobody has asked for what this module does when it is imported."""
     learnt = some_policy()
     scene = replace(learnt.scene, **{option: "antigravity:HAND"})
-    save_policy(tmp_path / "policy", replace(learnt, scene=scene), {})
-    assert_refused(tmp_path / "policy", f"--{option} antigravity:HAND")
+    save_policy(tmp_path, replace(learnt, scene=scene), {})
+    assert_refused(tmp_path, f"--{option} antigravity:HAND")
     assert "antigravity" not in sys.modules
 
 
-def with_facts(folder: Path, change: dict[str, Any]) -> None:
-    """Changes facts of a policy, with the right digest."""
-    arrays, facts = read_tensors(folder / POLICY_FILE, ANY, 2**28)
-    write_tensors(folder / POLICY_FILE, arrays, facts | change)
-
-
-def test_another_format_is_refused(tmp_path):
-    save_policy(tmp_path / "policy", some_policy(), {})
-    with_facts(tmp_path / "policy", {"format": 99})
-    assert_refused(
-        tmp_path / "policy", "format 99, but this version reads only 3; install the version"
-    )
-
-
 @pytest.mark.parametrize(
-    "change",
+    ("change", "saying"),
     [
-        {"task": {"tempo": 3}},
-        {"score": {"notes": 3, "pedal": [], "title": "", "remarks": []}},
-        {"observation": {"goal": 3}},
-        {"inputs": {"kept": [2, 1], "total": 5}},
-        {"activation": "swish"},
-        {"log_std_range": [1, 2, 3]},
+        ({"format": 99}, "format 99, but this version reads only 3; install the version"),
+        ({"task": {"tempo": 3}}, r"policy\.safetensors: .*task"),
+        (
+            {"score": {"notes": 3, "pedal": [], "title": "", "remarks": []}},
+            r"policy\.safetensors: .*score",
+        ),
+        ({"observation": {"goal": 3}}, r"policy\.safetensors: .*observation"),
+        ({"inputs": {"kept": [2, 1], "total": 5}}, r"policy\.safetensors: .*inputs"),
+        ({"activation": "swish"}, r"policy\.safetensors: .*activation"),
+        ({"log_std_range": [1, 2, 3]}, r"policy\.safetensors: .*log_std_range"),
     ],
 )
-def test_facts_that_do_not_fit_are_refused(tmp_path, change):
-    save_policy(tmp_path / "policy", some_policy(), {})
-    with_facts(tmp_path / "policy", change)
-    (name,) = change
-    assert_refused(tmp_path / "policy", rf"policy\.safetensors: .*{name}")
+def test_facts_that_do_not_fit_are_refused(tmp_path, change, saying):
+    """With the right digest."""
+    save_policy(tmp_path, some_policy(), {})
+    arrays, facts = read_tensors(tmp_path / POLICY_FILE, ANY, 2**28)
+    write_tensors(tmp_path / POLICY_FILE, arrays, facts | change)
+    assert_refused(tmp_path, saying)
 
 
 @pytest.mark.parametrize("name", ["hidden_0/kernel", "hidden_1/bias", "mean/kernel"])
@@ -198,21 +180,12 @@ def test_weights_that_do_not_fit_are_refused(tmp_path, name):
         {n: w for n, w in learnt.policy.weights.items() if n != name},
         learnt.policy.weights | {name: learnt.policy.weights[name][:-1]},
     ):
-        save_policy(
-            tmp_path / "policy",
-            replace(learnt, policy=Perceptron(weights, "gelu", (-20.0, 2.0))),
-            {},
-        )
-        assert_refused(
-            tmp_path / "policy", "not a policy that this version can read|from another version"
-        )
-
-
-def test_weights_that_are_not_finite_are_refused(tmp_path):
-    learnt = some_policy()
-    learnt.policy.weights["mean/bias"][3] = np.nan
-    save_policy(tmp_path / "policy", learnt, {})
-    assert_refused(tmp_path / "policy", "numbers that are not finite")
+        policy = Perceptron(weights, "gelu", (-20.0, 2.0))
+        save_policy(tmp_path, replace(learnt, policy=policy), {})
+        assert_refused(tmp_path, "not a policy that this version can read|from another version")
+    learnt.policy.weights[name].flat[3] = np.nan
+    save_policy(tmp_path, learnt, {})
+    assert_refused(tmp_path, "numbers that are not finite")
 
 
 def test_a_task_that_shows_something_else_is_refused():
@@ -226,9 +199,7 @@ def test_a_folder_without_a_policy_is_refused(tmp_path):
     assert_refused(tmp_path / "nowhere", "so it is no policy; name another")
     (tmp_path / "file").write_text("no folder")
     assert_refused(tmp_path / "file", "so it is no policy; name another")
-
-
-def test_a_checkpoint_is_no_policy(tmp_path):
+    # Nor is one with a checkpoint.
     write_tensors(tmp_path / POLICY_FILE, {}, {"command": "cadenza train", "step": 3})
     assert_refused(tmp_path, "not a policy that this version can read|has format None")
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from begun import begun
 from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
 from cadenza.errors import CadenzaError
@@ -84,19 +85,19 @@ def test_a_wrong_key_and_a_diverged_simulation_end_it():
     assert_array_equal(task.step(np.zeros((2, 89))).terminated, [False, True])
 
 
-@pytest.mark.parametrize("planner", [PredictiveSampling(), ILQG()])
-def test_planners_that_take_over_a_physical_state_say_that_they_cannot(planner):
-    task = make_task()
-    task.reset([np.random.default_rng(0)], [0])
-    planner.reset([0], [np.random.default_rng(0)])
-    with pytest.raises(CadenzaError, match="plans in MuJoCo and cannot start from a SelfPlaying"):
-        planner.act(task.view())
-
-
-@pytest.mark.parametrize("planner", [PredictiveSampling(), ILQG()])
-def test_planners_of_one_scene_do_not_play_with_hands_apart(planner):
-    task = PianoTask([SONG], TaskConfig(), SceneConfig(hands="apart"))
-    task.reset([np.random.default_rng(0)], [0])
-    planner.reset([0], [np.random.default_rng(0)])
-    with pytest.raises(CadenzaError, match="these play apart: choose hands both, right or left"):
+@pytest.mark.parametrize("make_planner", [PredictiveSampling, ILQG])
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (make_task, "plans in MuJoCo and cannot start from a SelfPlaying"),
+        (
+            lambda: PianoTask([SONG], TaskConfig(), SceneConfig(hands="apart")),
+            "these play apart: choose hands both, right or left",
+        ),
+    ],
+)
+def test_planners_of_one_scene_in_mujoco_refuse_others(make_planner, make, message):
+    planner = make_planner()
+    task = begun(make(), planner)
+    with pytest.raises(CadenzaError, match=message):
         planner.act(task.view())

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from begun import begun
 from cadenza.music.libraries.library import load_score
 from cadenza.music.metrics import playing_metrics
 from cadenza.scene.scene import Scene, build_scene
@@ -41,9 +42,7 @@ class Recording:
         return self.arrays[name]
 
     def task(self) -> PianoTask:
-        task = PianoTask([self.score], self.config, self.scene)
-        task.reset([np.random.default_rng(0)], [0])
-        return task
+        return begun(PianoTask([self.score], self.config, self.scene))
 
 
 @pytest.fixture(scope="module", params="abcd")

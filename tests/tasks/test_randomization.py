@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import cadenza
+from begun import begun
 from cadenza import CadenzaError, DomainRandomization, Note, SceneConfig, Score, TaskConfig
 from cadenza.agents.agent import RandomAgent, ZeroAgent
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
@@ -29,6 +30,7 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks.env import PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
+from watched import watched
 
 TUNE = Score((Note(0.0, 0.2, 60), Note(0.2, 0.4, 64), Note(0.2, 0.6, 43)), title="A tune")
 ID = "cadenza/Piano-v0"
@@ -228,8 +230,7 @@ def test_models_have_what_infos_tell_and_nothing_adds_up():
 def test_weaker_servos_lag(gain, hands):
     def reached(factor: float) -> NDArray[np.float64]:
         config = TaskConfig(randomization=DomainRandomization(servo_gain=(factor, factor)))
-        task = PianoTask([TUNE], config, SceneConfig(hands=hands))
-        task.reset([np.random.default_rng(0)], [0])
+        task = begun(PianoTask([TUNE], config, SceneConfig(hands=hands)))
         ctrl = np.clip(
             np.full((1, task.spec.action_size), 0.2), task.spec.action_low, task.spec.action_high
         )
@@ -246,20 +247,19 @@ def test_planners_have_the_nominal_scene(scene):
     config = PredictiveSamplingConfig(num_candidates=2, horizon=0.1)
     chosen = []
     for randomization in (DomainRandomization(), DomainRandomization(mass=(0.5, 2.0))):
-        task = PianoTask([TUNE], TaskConfig(randomization=randomization), scene)
-        task.reset([np.random.default_rng(0)], [0])
-        assert task.view().task.scene is scene
         agent = PredictiveSampling(config)
-        agent.reset([0], [np.random.default_rng(0)])
+        task = begun(PianoTask([TUNE], TaskConfig(randomization=randomization), scene), agent)
+        assert task.view().task.scene is scene
         chosen.append(agent.act(task.view()))
     assert_array_equal(*chosen)
 
 
 def late(scene: Scene, latency: float, steps: int = 8) -> tuple[PianoTask, NDArray[Any]]:
     """(steps, J) where an action of the second forearm's way takes the hands."""
-    config = DomainRandomization(latency=(latency, latency))
-    task = PianoTask([TUNE], TaskConfig(randomization=config, random_hand_position=0.05), scene)
-    task.reset([np.random.default_rng(0)], [0])
+    config = TaskConfig(
+        randomization=DomainRandomization(latency=(latency, latency)), random_hand_position=0.05
+    )
+    task = begun(PianoTask([TUNE], config, scene))
     ctrl = np.clip(
         np.full((1, task.spec.action_size), 0.1), task.spec.action_low, task.spec.action_high
     )
@@ -334,22 +334,16 @@ def test_observations_have_noise_and_the_state_has_none(scene):
     assert 0.05 < high < 0.5
 
 
-def test_controls_have_noise_in_each_step_and_environment(scene):
-    arrived = []
-
-    class Listening(MujocoSimulation):
-        def step(self, ctrl: Any, *args: Any, **options: Any) -> None:
-            arrived.append(ctrl.copy())
-            super().step(ctrl, *args, **options)
-
+def test_controls_have_noise_in_each_step_and_environment(scene, monkeypatch):
+    stepped = watched(monkeypatch, MujocoSimulation, "step")
     config = TaskConfig(randomization=DomainRandomization(control_noise=0.05))
-    task = PianoTask([TUNE], config, scene, 4, make_simulation=Listening)
+    task = PianoTask([TUNE], config, scene, 4)
     task.reset(np.random.default_rng(0).spawn(4), range(4))
     half = (task.spec.action_high - task.spec.action_low)[:-1] / 2
     middle = (task.spec.action_low + task.spec.action_high) / 2
     for _ in range(10):
         task.step(np.tile(middle, (4, 1)))
-    noise = (np.array(arrived) - middle[:-1]) / half
+    noise = (np.array([ctrl for (_, ctrl, *_), _ in stepped]) - middle[:-1]) / half
     assert_allclose(noise.std(), 0.05, rtol=0.05)
     assert len(np.unique(noise)) == noise.size
 
@@ -359,9 +353,8 @@ def test_controls_have_noise_in_each_step_and_environment(scene):
 
 def playing(scene: SceneConfig | Scene, steps: int = 12, **options: Any) -> PianoTask:
     """A task whose hands have moved a while, as the same random actions have it."""
-    task = PianoTask([TUNE], TaskConfig(randomization=DomainRandomization(**options)), scene)
-    task.reset([np.random.default_rng(0)], [0])
-    rng = np.random.default_rng(1)
+    config = TaskConfig(randomization=DomainRandomization(**options))
+    task, rng = begun(PianoTask([TUNE], config, scene)), np.random.default_rng(1)
     for _ in range(steps):
         middle = (task.spec.action_low + task.spec.action_high) / 2
         spread = 0.3 * (task.spec.action_high - middle)
@@ -400,10 +393,8 @@ def test_onsets_are_heard_when_they_arrive():
     """A key of a piano that plays itself sounds, and is heard 0.12 s later, as loud."""
     heard = []
     for late in (0.0, 0.12):
-        config = DomainRandomization(observation_latency=(late, late))
-        scene = SceneConfig(hands="none")
-        task = PianoTask([TUNE], TaskConfig(randomization=config), scene)
-        task.reset([np.random.default_rng(0)], [0])
+        config = TaskConfig(randomization=DomainRandomization(observation_latency=(late, late)))
+        task = begun(PianoTask([TUNE], config, SceneConfig(hands="none")))
         for step in range(8):
             task.step(np.where(np.arange(89) == 40, task.spec.action_high, 0.0)[None])
             if np.isfinite(task.sensed.key_onset[0, 40]):
@@ -462,14 +453,8 @@ def test_hands_are_mounted_where_infos_tell(hands):
 @pytest.mark.parametrize("hands", ["none", "apart"])
 def test_keys_sound_from_the_depth_and_stop_at_the_end_that_infos_tell(hands):
     """Keys that go down by themselves, or do not move; either way states and events agree."""
-    task = PianoTask(
-        [TUNE],
-        TaskConfig(
-            randomization=DomainRandomization(key_sounding=(0.2, 0.9), key_travel=(0.9, 1.1))
-        ),
-        SceneConfig(hands=hands),
-    )
-    task.reset([np.random.default_rng(0)], [0])
+    ranges = DomainRandomization(key_sounding=(0.2, 0.9), key_travel=(0.9, 1.1))
+    task = begun(PianoTask([TUNE], TaskConfig(randomization=ranges), SceneConfig(hands=hands)))
     keyboard, sounded = task.scene.keyboard, task.sounding.copy()
     sounds_from = keyboard.sounds_from * task.drawn["key_sounding"][0]
     for _ in range(20):
@@ -481,26 +466,20 @@ def test_keys_sound_from_the_depth_and_stop_at_the_end_that_infos_tell(hands):
     assert hands == "apart" or sounded.all()
 
 
-def test_setpoints_have_limits_of_speed_dead_bands_and_backlash(scene):
-    arrived = []
-
-    class Listening(MujocoSimulation):
-        def step(self, ctrl: Any, *args: Any, **options: Any) -> None:
-            arrived.append(ctrl[0].copy())
-            super().step(ctrl, *args, **options)
-
+def test_setpoints_have_limits_of_speed_dead_bands_and_backlash(scene, monkeypatch):
+    stepped = watched(monkeypatch, MujocoSimulation, "step")
     low, high = scene.action_low, scene.action_high
     half = (high - low)[:-1] / 2
 
     def sent(ctrls: Any, **options: Any) -> NDArray[Any]:
         """(steps, A) where servos are sent, from the middle of their ranges, in half ranges."""
-        arrived.clear()
+        stepped.clear()
         config = TaskConfig(randomization=DomainRandomization(**options))
-        task = PianoTask([TUNE], config, scene, make_simulation=Listening)
-        task.reset([np.random.default_rng(0)], [0])
+        task = begun(PianoTask([TUNE], config, scene))
         for ctrl in [0.0] * 8 + ctrls:
             task.step(((low + high) / 2 + ctrl * (high - low) / 2)[None])
-        return (np.array(arrived[8:]) - (low + high)[:-1] / 2) / half
+        arrived = [ctrl[0] for (_, ctrl, *_), _ in stepped[8:]]
+        return (np.array(arrived) - (low + high)[:-1] / 2) / half
 
     steps = sent([1.0] * 4, sweep_time=(0.25, 0.25))
     assert_allclose(steps[:, 3], [0.4, 0.8, 1.0, 1.0])
