@@ -11,7 +11,6 @@ import pytest
 from cadenza.errors import CadenzaError
 from cadenza.music.formats import verovio_reading
 from cadenza.music.formats.reading import ending_of, read_score
-from cadenza.music.libraries.library import composer_of
 
 DOCUMENT = """<mei xmlns="http://www.music-encoding.org/ns/mei" meiversion="5.0"><music><body><mdiv>
 <score><scoreDef meter.count="4" meter.unit="4" midi.bpm="60"><staffGrp>
@@ -274,7 +273,8 @@ TITLED = DOCUMENT.replace(
 def test_the_title_and_the_composer_are_those_of_the_file(tmp_path, name, text, title, composer):
     path = tmp_path / name
     path.write_text(text)
-    assert (read_score(path).title, composer_of(str(path))) == (title, composer)
+    score = read_score(path)
+    assert (score.title, score.composer) == (title, composer)
 
 
 def test_files_without_music_are_refused_in_a_line(tmp_path):

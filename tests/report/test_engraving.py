@@ -224,7 +224,7 @@ def song(num_bars: int, title: str = "A (short) song by Dvořák") -> Score:
 
 
 def test_a_page_has_title_composer_and_the_finger_of_each_note(tmp_path):
-    write_pdf(song(4), tmp_path / "a.pdf", "Antonín")
+    write_pdf(replace(song(4), composer="Antonín"), tmp_path / "a.pdf")
     (page,) = pages_of(tmp_path / "a.pdf")
     texts = re.findall(r"Tm \((.*)\) Tj", page)
     assert texts[0] == r"A \(short\) song by Dvorák"  # a letter that Times lacks loses its accent
@@ -243,7 +243,8 @@ def test_metronome_marks_of_half_notes_are_drawn(tmp_path):
 
 
 def test_what_times_lacks_in_titles_of_music_is_spelled(tmp_path):
-    write_pdf(song(1, "Nocturne in E♭ and C♯ minor, № 2"), tmp_path / "a.pdf", "Łódź")
+    score = song(1, "Nocturne in E♭ and C♯ minor, № 2")
+    write_pdf(replace(score, composer="Łódź"), tmp_path / "a.pdf")
     (page,) = pages_of(tmp_path / "a.pdf")
     title, composer, *_ = re.findall(r"Tm \((.*)\) Tj", page)
     assert (title, composer) == ("Nocturne in E-flat and C-sharp minor, No. 2", "Lódz")

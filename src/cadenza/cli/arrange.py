@@ -63,7 +63,7 @@ def run(command: Arrange) -> None:
     )
     track, made = arranged_for(song.written_for(command.scene.hands), scene, how)
     score = track.fingered().score
-    write_sheet(score, path, command.song)
+    write_sheet(score, path)
     if made:
         reached, what = made.arranged.grade, str(made.arranged.fidelity)
     else:

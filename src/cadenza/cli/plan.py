@@ -63,7 +63,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     planned.save(path)
     print_verdict(planned.performance, command.verbose)
     if command.score is not None:
-        write_sheet(planned.score_played, command.score, command.song)
+        write_sheet(planned.score_played, command.score)
     print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 

@@ -44,15 +44,14 @@ def check_sheet(path: Path, option: str) -> None:
     check_writable(path.parent, option)
 
 
-def write_sheet(score: Score, path: Path, song: str) -> None:
+def write_sheet(score: Score, path: Path) -> None:
     """Write a score with its fingers as its ending says, and print what is not as in the score.
 
-    Fingers of a .mid file are written beside it; who wrote the `song` stands in a PDF.
+    Fingers of a .mid file are written beside it.
     """
     from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
     from cadenza.music.formats.midi_sheet import write_midi_sheet
     from cadenza.music.formats.musicxml_writing import write_musicxml
-    from cadenza.music.libraries.library import composer_of
     from cadenza.report.engraving import write_svg
     from cadenza.report.sheet_pdf import write_pdf
 
@@ -61,7 +60,7 @@ def write_sheet(score: Score, path: Path, song: str) -> None:
         write_midi_sheet(score, path)
         write_fingering(score, path.with_suffix(SUFFIX))
     elif path.suffix == ".pdf":
-        remarks = write_pdf(score, path, composer_of(song))
+        remarks = write_pdf(score, path)
     else:
         remarks = (write_svg if path.suffix == ".svg" else write_musicxml)(score, path)
     for remark in remarks:

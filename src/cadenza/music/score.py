@@ -154,8 +154,9 @@ class Score:
 
     `remarks` say in plain words what was repaired when the score was read. `tracks` are those of
     the file, played or not. `bars` are in the order in which they are played; there are none if the
-    file has no metre. Scores that differ only in tracks or bars are equal. Raises CadenzaError if
-    something in it is later than `MAX_SCORE_LENGTH`.
+    file has no metre. `composer` is empty if the file does not say who wrote it. Scores that differ
+    only in tracks, bars or composer are equal. Raises CadenzaError if something in it is later than
+    `MAX_SCORE_LENGTH`.
     """
 
     notes: tuple[Note, ...]
@@ -164,6 +165,7 @@ class Score:
     remarks: tuple[str, ...] = ()
     tracks: tuple[Track, ...] = field(default=(), compare=False)
     bars: tuple[Bar, ...] = field(default=(), compare=False)
+    composer: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         notes = tuple(sorted(self.notes, key=lambda note: (note.start, note.pitch)))

@@ -46,7 +46,7 @@ _NUMBER, _COMMAND = re.compile(r"-?[\d.]+"), re.compile(r"([A-Za-z])([^A-Za-z]*)
 _COUNTS = {"h": 1, "v": 1, "m": 2, "l": 2, "s": 4, "c": 6}  # of numbers after a command of a path
 
 
-def write_pdf(score: Score, path: str | Path, composer: str = "") -> tuple[str, ...]:
+def write_pdf(score: Score, path: str | Path) -> tuple[str, ...]:
     """Write a score as a PDF of A4 pages, engraved as `write_musicxml` writes it.
 
     Raises CadenzaError if the score has no notes. Returns remarks in plain words on what is not as
@@ -64,7 +64,7 @@ def write_pdf(score: Score, path: str | Path, composer: str = "") -> tuple[str, 
         heights = [system.height * scale for system in systems]
         top = _HEIGHT - _MARGIN - (_HEAD if number == 1 else 0.0)
         gap = min((top - _MARGIN - sum(heights)) / max(len(systems) - 1, 1), _MAX_GAP)
-        parts = list(_heading(sheet.title, composer, number, len(pages)))
+        parts = list(_heading(sheet.title, score.composer, number, len(pages)))
         for system, height in zip(systems, heights, strict=True):
             shapes = "\n".join(_drawn(fromstring(f"<g>{system.svg}</g>"), glyphs))
             parts += [f"q {scale:.6f} 0 0 {-scale:.6f} {_MARGIN} {top:.2f} cm\n{shapes}\nQ"]

@@ -73,17 +73,6 @@ def read_score(path: Path, tracks: Collection[int] = (), plain: bool = False) ->
     return read_fingering(sidecar, score, all_there=not tracks)
 
 
-def composer_in(path: Path) -> str:
-    """Name who wrote what a file has, if it says so; raises CadenzaError as `read_score` does."""
-    from cadenza.music.formats.musicxml.reader import composer_of_sheet
-    from cadenza.music.formats.verovio_reading import composer_of_file
-
-    form = _form_of(path)
-    if form in _BY_VEROVIO:
-        return composer_of_file(path, _BY_VEROVIO[form])
-    return "" if form in _MIDI else composer_of_sheet(path)
-
-
 def _form_of(path: Path) -> str:
     """The ending that files of its format have; raises CadenzaError if that is not read."""
     check_format(path)

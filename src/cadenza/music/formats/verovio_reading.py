@@ -76,13 +76,10 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
         title = _named(_TITLE[form], content) or title_of(path)
         score = score_of(file._replace(tracks=[*music, marked]), tracks, title)
     remark = f"read by Verovio as {form}: without loudness, pedal and fingers"
-    return replace(score, remarks=(remark, *_remarks(Counter(left_out)), *score.remarks))
-
-
-def composer_of_file(path: Path, form: str) -> str:
-    """Name who wrote what a file has; raises CadenzaError if it cannot be read."""
-    name = _named(_COMPOSER[form], read_bytes(path))
-    return " ".join(reversed(name.split(", "))) if name.count(", ") == 1 else name
+    remarks = (remark, *_remarks(Counter(left_out)), *score.remarks)
+    name = _named(_COMPOSER[form], content)
+    composer = " ".join(reversed(name.split(", "))) if name.count(", ") == 1 else name
+    return replace(score, remarks=remarks, composer=composer)
 
 
 def _named(what: re.Pattern[str], content: bytes) -> str:

@@ -99,16 +99,6 @@ def open_library(spec: str | Path) -> Library:
     return library.of_split(split) if colon else library
 
 
-def composer_of(song: str) -> str:
-    """Name who wrote a song; "" if no library that is here says so, nor its file."""
-    from cadenza.music.formats.reading import composer_in
-
-    try:
-        return find_song(song).composer or composer_in(Path(song))
-    except CadenzaError:
-        return ""
-
-
 def find_song(song: str | Path | Song) -> Song:
     """The song of a name, in upper or lower case, or of the path of a MIDI or MusicXML file.
 

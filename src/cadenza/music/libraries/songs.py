@@ -46,12 +46,13 @@ class Song:
     difficulty: float | None = None
 
     def load(self, tracks: Collection[int] = (), plain: bool = False) -> Score:
-        """Load the score, under the title of the song, with the hands that it is written for.
+        """Load the score, with the title and the composer of the song, and its written hands.
 
         See `read_score`. Raises CadenzaError if it cannot be read, or has no such track.
         """
         score = with_written_hands(self.read(tracks, plain))
-        return replace(score, title=self.title or score.title)
+        composer = self.composer or score.composer
+        return replace(score, title=self.title or score.title, composer=composer)
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,6 @@ _DRUM_CHANNEL = 10
 _AUDIBLE = Fraction(100)  # per cent of the volume
 _MAX_PARTS = 500  # an orchestra has some 50
 _TITLES = ("work/work-title", "movement-title", "credit[credit-type='title']/credit-words")
-
 _COMPOSERS = (
     "identification/creator[@type='composer']",
     "credit[credit-type='composer']/credit-words",
@@ -68,12 +67,6 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = (), plain: bool = 
     root = tree_of(path)
     with errors_in(path):
         return _score(root, tracks, plain, title_of(path))
-
-
-def composer_of_sheet(path: Path) -> str:
-    """Name who wrote what a MusicXML file has; raises CadenzaError as `read_musicxml` does."""
-    root = tree_of(path)
-    return next((text for each in _COMPOSERS if (text := printable(root.findtext(each, "")))), "")
 
 
 def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> Score:
@@ -99,7 +92,6 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     swings = sheet.swings(() if plain else tempo_marks.swings)
     notes = _notes(parts, sheet, tempo, swings, counts)
     begin = min([0.0, *(note.start for note in notes)])  # grace notes before the first beat
-    title = next((text for each in _TITLES if (text := printable(root.findtext(each, "")))), title)
     played, remarks = repaired_notes(notes, counts, remarks, lambda time: time - begin)
     pedals = (
         (place, part.track.number, value)
@@ -109,7 +101,13 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     pedal = _timed(merged_pedal(sorted(pedals, key=itemgetter(0))), tempo)
     moves = (PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
     timed = (bar.moved(lambda time: time - begin) for bar in _bars(sheet.passages, tempo))
-    return Score(played, tuple(moves), title, remarks, listed, tuple(timed))
+    title, composer = _said(root, _TITLES) or title, _said(root, _COMPOSERS)
+    return Score(played, tuple(moves), title, remarks, listed, tuple(timed), composer)
+
+
+def _said(root: Element, places: Iterable[str]) -> str:
+    """What a document says in the first of some places where it says anything."""
+    return next((text for each in places if (text := printable(root.findtext(each, "")))), "")
 
 
 def _notes(
