@@ -8,8 +8,15 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from numbered import finger
 
 BUFFER = TaskConfig(initial_buffer_time=0.5)
+# Under the right hand where it starts.
+TUNE = Score(
+    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 0.6, 76, finger=finger(3))),
+    (PedalEvent(0.2, 127),),
+    "A tune",
+)
 FINER, COARSER = 0.025, 0.1  # control steps [s] other than the usual 0.05
 
 

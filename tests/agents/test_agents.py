@@ -20,23 +20,17 @@ from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import write_tensors
 from cadenza.music.libraries.library import load_score
-from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity
 from cadenza.tasks.piano_task import PianoTask
-from numbered import finger
+from melodies import TUNE
 from watched import watched
 
 RECORDING = Path(__file__).parents[1] / "data/episode_d.npz"
 
-# Under the right hand where it starts.
-TUNE = Score(
-    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 0.6, 76, finger=finger(3))),
-    (PedalEvent(0.2, 127),),
-    "A tune",
-)
 CONFIG = TaskConfig(initial_buffer_time=0.3)
 ONE_CANDIDATE = PredictiveSamplingConfig(num_candidates=1)
 FEW_CANDIDATES = PredictiveSamplingConfig(num_candidates=3)

@@ -25,22 +25,17 @@ from cadenza.agents.baselines.ilqg import (
 from cadenza.agents.planner.config import ILQGConfig
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
-from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.linearisation import Lineariser
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
-from cadenza.tasks.view import View
+from melodies import TUNE
 from numbered import finger
+from watched import watched
 
-# Under the right hand where it starts.
-TUNE = Score(
-    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 0.6, 76, finger=finger(3))),
-    (PedalEvent(0.2, 127),),
-    "A tune",
-)
 CHORD = Score(tuple(Note(0.0, 0.3, 72 + 2 * i, finger=finger(i)) for i in range(1, 4)))
 SHORT = ILQGConfig(horizon=0.1)
 
@@ -223,29 +218,6 @@ def test_sleeping_keys_have_no_derivatives(right_hand):
         Lineariser(right_hand, 1, 1)
 
 
-class WatchedPlanner(ILQG):
-    def begin(self, view: View, rng: np.random.Generator) -> ILQGPlanner:
-        return WatchedEpisode(view, self.config, self.threads)
-
-
-class WatchedEpisode(ILQGPlanner):
-    """Writes down what was approximated and compared."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.models: list[Model] = []
-        self.costs: list[np.ndarray] = []
-
-    def approximate(self, start: np.ndarray) -> Model:
-        self.models.append(super().approximate(start))
-        return self.models[-1]
-
-    def line_search(self, policy: FeedbackLaw, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        controls, cost = super().line_search(policy, start)
-        self.costs.append(cost)
-        return controls, cost
-
-
 def started(
     planner: Agent, scene: Scene, silent: bool = False, score: Score = TUNE, **options: Any
 ) -> PianoTask:
@@ -257,7 +229,7 @@ def started(
     ("score", "fingering"), [(TUNE, "auto"), (TUNE, "transport"), (CHORD, "auto")]
 )
 def test_the_gradient_is_that_of_the_cost(right_hand, score, fingering):
-    planner = WatchedPlanner(ILQGConfig(horizon=0.05, centred=True))
+    planner = ILQG(ILQGConfig(horizon=0.05, centred=True))
     task = started(planner, right_hand, score=score, fingering=fingering)
     planner.act(task.view())
     planner = planner.planners[0]
@@ -295,10 +267,11 @@ def test_the_next_plan_begins_with_the_last_one_a_step_later(right_hand, monkeyp
     assert_array_equal(planned.nominal, nominal[[1, 2, 2]])
 
 
-def test_planning_lowers_its_cost(right_hand):
-    planner = WatchedPlanner(ILQGConfig(horizon=0.1, iterations=4))
+def test_planning_lowers_its_cost(right_hand, monkeypatch):
+    searched = watched(monkeypatch, ILQGPlanner, "line_search")
+    planner = ILQG(ILQGConfig(horizon=0.1, iterations=4))
     planner.act(started(planner, right_hand).view())
-    costs = planner.planners[0].costs
+    costs = [cost for _, (_, cost) in searched]
     first, *_, last = costs
     assert last.min() < 0.9 * first[0]
     for before, after in pairwise(costs):

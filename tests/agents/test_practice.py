@@ -41,6 +41,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import Threads
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from melodies import melody
 from refusals import refused
 from rounds import so_often
 from watched import watched
@@ -70,14 +71,7 @@ JUMPS = Score(
 )
 
 # Far apart, so that other fingers lose less, with whatever kernels linear algebra uses.
-WIDE = Score(
-    tuple(
-        Note(0.2 * i, 0.2 * i + 0.2, pitch)
-        for i, pitch in enumerate(
-            (71, 78, 76, 65, 78, 79, 79, 52, 63, 68, 58, 61, 68, 74, 67, 55, 70, 76)
-        )
-    )
-)
+WIDE = melody(*(71, 78, 76, 65, 78, 79, 79, 52, 63, 68, 58, 61, 68, 74, 67, 55, 70, 76), length=0.2)
 
 # Both thumbs on neighbouring keys, closely enough for hands to meet.
 CLOSE = Score(
@@ -129,10 +123,6 @@ def changed(practised: Practice, tmp_path: Path, **arrays: NDArray[Any] | None) 
     return path
 
 
-def worth(practised: Practice) -> float:
-    return practised.best().score
-
-
 def assert_same(one: Practice, other: Practice) -> None:
     mine, others = one.state(), other.state()
     assert mine.keys() == others.keys()
@@ -171,12 +161,12 @@ def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene():
     before = 0.0
     for effort in 0.0, 0.05:
         one.run(effort)
-        assert worth(one) >= before
-        before = worth(one)
-        assert_plays_as_it_says(one, CLOSE)
+        assert one.best().score >= before
+        before = one.best().score
+        best_played(one, CLOSE)
     one.run(np.inf, so_often(3))  # in the middle of a sweep
-    assert worth(one) >= before
-    assert_plays_as_it_says(one, CLOSE)
+    assert one.best().score >= before
+    best_played(one, CLOSE)
     scores = [f1 + 2 * onsets for _, f1, onsets in one.history]
     assert scores == sorted(scores)
     assert scores[-1] > scores[0]
@@ -186,11 +176,13 @@ def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene():
     assert [note.finger for note in one.plan.track.score.notes] == [n.finger for n in CLOSE.notes]
 
 
-def assert_plays_as_it_says(practised: Practice, score: Score) -> None:
+def best_played(practised: Practice, score: Score) -> dict[str, float]:
+    """How its best is played in the scene, which is as it says."""
     best = practised.best()
     actions = np.append(best.practised.tracking.ctrl, practised.plan.goals.sustain[:, None], axis=1)
     metrics = play_episode(PianoTask([score], QUICK), Playback(actions)).metrics
     assert (metrics["f1"], metrics["note_onset_f1"]) == (best.f1, best.note_onset_f1)
+    return metrics
 
 
 def test_it_plays_more_in_time_and_as_loud_as_written():
@@ -200,11 +192,8 @@ def test_it_plays_more_in_time_and_as_loud_as_written():
     one, heard = practice(score=score), []
     for effort in 0.0, EFFORT:
         one.run(effort)
-        best = one.best()
-        assert (best.f1, best.note_onset_f1) == (1.0, 1.0)
-        ctrl = best.practised.tracking.ctrl
-        actions = np.append(ctrl, one.plan.goals.sustain[:, None], axis=1)
-        heard.append(play_episode(PianoTask([score], QUICK), Playback(actions)).metrics)
+        heard.append(best_played(one, score))
+        assert (heard[-1]["f1"], heard[-1]["note_onset_f1"]) == (1.0, 1.0)
     before, after = heard
     assert after["onset_error_90"] < before["onset_error_90"]
     assert after["velocity_error"] < before["velocity_error"]
@@ -276,7 +265,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     (_, f1, onsets), *_, (_, later_f1, later_onsets) = straight.history
     assert (later_onsets, later_f1) > (onsets, f1)
     assert straight.plan.nominal.presses != at_sight.nominal.presses
-    assert_plays_as_it_says(straight, score)
+    best_played(straight, score)
     left, within = practice(2, score=score, config=config), set[bool]()
     followed = watched(monkeypatch, PlannedVariant, "follow")
     while not left.run(effort, so_often(5)):
@@ -402,21 +391,17 @@ def test_hands_that_are_pushed_find_back_before_a_finger_slips(practised):
     assert off[13] < off[9] / 3
 
 
+USUAL = (
+    *("--no-video", "-q", "--num-threads", "1"),
+    *("--initial-buffer-time", "0.4", "--planner.method", "none"),
+)
+
+
 def folder_of(tmp_path: Path, *options: str) -> Path:
     tmp_path.mkdir(exist_ok=True)
     write_midi(HARD, tmp_path / "hard.mid")
     song, folder = str(tmp_path / "hard.mid"), tmp_path / "practised"
-    usual = (
-        "--no-video",
-        "-q",
-        "--num-threads",
-        "1",
-        "--initial-buffer-time",
-        "0.4",
-        "--planner.method",
-        "none",
-    )
-    main(["practice", song, "-o", str(folder), *usual, *options])
+    main(["practice", song, "-o", str(folder), *USUAL, *options])
     return folder
 
 
@@ -513,10 +498,8 @@ def test_the_planner_practises_in_the_folder_of_what_it_plays(tmp_path, capsys):
     short = "--first-seconds", "0.6"
     folder = folder_of(tmp_path, "--effort", "0.01", *short)
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("effort")]
-    effort = ["--planner.method", "none", "--planner.effort", "0.01"]
-    usual = ["--no-video", "-q", "--num-threads", "1", "--initial-buffer-time", "0.4"]
-    to = ["-o", str(tmp_path / "played")]
-    main(["play", str(tmp_path / "hard.mid"), *usual, *short, *effort, *to])
+    more = [*short, "--planner.effort", "0.01", "-o", str(tmp_path / "played")]
+    main(["play", str(tmp_path / "hard.mid"), *USUAL, *more])
     assert [line for line in capsys.readouterr().out.splitlines() if line in said] == said
     for read, name in (
         (lambda path: read_tensors(path, ANY, 2**28)[0], "practice.safetensors"),

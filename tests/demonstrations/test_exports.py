@@ -168,14 +168,11 @@ def test_exports_of_the_same_demonstrations_are_the_same_bytes(form, made, copie
     name = ["--name", "made"] if form == "minari" else []
     for folder, out in ((made, "first"), (copied, "second")):
         main(["dataset", "export", str(folder), "--format", form, "-o", str(tmp_path / out), *name])
-    first, second = ({p.relative_to(at): p for p in at.rglob("*")} for at in written_to(tmp_path))
+    written = (tmp_path / "first", tmp_path / "second")
+    first, second = ({p.relative_to(at): p for p in at.rglob("*")} for at in written)
     assert first.keys() == second.keys()
     files = [name for name, path in first.items() if path.is_file()]
     assert all(first[name].read_bytes() == second[name].read_bytes() for name in files)
-
-
-def written_to(folder: Path) -> tuple[Path, Path]:
-    return folder / "first", folder / "second"
 
 
 def test_lerobot_files_hold_what_was_recorded(made, tmp_path, monkeypatch):

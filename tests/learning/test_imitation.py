@@ -106,30 +106,27 @@ def test_observes_what_the_environments_show(demonstrations):
 def test_sees_in_a_performance_what_it_has_learnt_from(demonstrations, tmp_path, previous_action):
     """Demonstrations begin in the state in which the performance does."""
     trained(replace(CONFIG, previous_action=previous_action), demonstrations, tmp_path / "run")
-    learnt = load_policy(tmp_path / "run" / "last")
-    assert learnt.ranges is not None
-    dataset = open_dataset(demonstrations)
-    seen = seen_in(dataset, np.zeros(1, np.intp), learnt.ranges)
-    done = learnt.policy.mode(seen[:, list(learnt.inputs.kept)])
-    performance = cadenza.play(SCORE, tmp_path / "run" / "last")
-    expected = to_range(done, *learnt.ranges.actions)
-    assert_allclose(performance.episode["action"][:1, :-1], expected[:, :-1], atol=1e-5)
+    assert_sees_the_same(tmp_path / "run" / "last", demonstrations)
 
 
-@pytest.mark.parametrize("task", [{"fingering": "off"}, {"n_seconds_lookahead": 0.1}])
-def test_sees_the_same_however_the_recorded_task_shows_it(tmp_path, task):
-    collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(SAME | task))
-    run = Imitation(replace(CONFIG, held_out=0), tmp_path / "made", tmp_path / "run")
-    run.run(so_often(1))
-    learnt, dataset = load_policy(tmp_path / "run" / "last"), open_dataset(tmp_path / "made")
+def assert_sees_the_same(policy: Path, demonstrations: Path) -> None:
+    """In a performance as in demonstrations, where these begin."""
+    learnt, dataset = load_policy(policy), open_dataset(demonstrations)
     assert learnt.ranges is not None
     assert learnt.task.trim_silence
     seen = seen_in(dataset, np.zeros(1, np.intp), learnt.ranges)
     assert seen.shape[1] == learnt.observation.size
     done = learnt.policy.mode(seen[:, list(learnt.inputs.kept)])
-    performance = cadenza.play(SCORE, tmp_path / "run" / "last")
     expected = to_range(done, *learnt.ranges.actions)
-    assert_allclose(performance.episode["action"][:1, :-1], expected[:, :-1], atol=1e-5)
+    action = cadenza.play(SCORE, policy).episode["action"]
+    assert_allclose(action[:1, :-1], expected[:, :-1], atol=1e-5)
+
+
+@pytest.mark.parametrize("task", [{"fingering": "off"}, {"n_seconds_lookahead": 0.1}])
+def test_sees_the_same_however_the_recorded_task_shows_it(tmp_path, task):
+    collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(SAME | task))
+    trained(replace(CONFIG, held_out=0), tmp_path / "made", tmp_path / "run", so_often(1))
+    assert_sees_the_same(tmp_path / "run" / "last", tmp_path / "made")
 
 
 def test_resumed_it_ends_with_the_same_bits(demonstrations, run, tmp_path):

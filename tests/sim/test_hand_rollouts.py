@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cadenza.agents.playback import load_plan
+from cadenza.fingers import Side
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene, colliding_parts, hand_alone, reduced_model
 from cadenza.scene.servos import servos_of
@@ -18,6 +19,25 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 
 RECORDED = Path(__file__).parents[1] / "data" / "episode_d.npz"
 AHEAD = 7  # steps
+
+
+class Alone:
+    """A hand alone, and rollouts on the keys in the middle from where it is."""
+
+    def __init__(self, side: Side = "right") -> None:
+        self.scene, self.servos, _ = hand_alone(build_scene(), side)
+        self.simulation = PlanningSimulation(self.scene)
+        self.rollouts = HandRollouts(self.scene, self.simulation.control_timestep)
+        self.start()
+
+    def start(self, low: int = 30, high: int = 50) -> None:
+        y = self.scene.keyboard.centre[:, 1]
+        self.rollouts.start_from(self.simulation, y[low], y[high])
+
+    @property
+    def recorded(self) -> np.ndarray:
+        """(7, A) what it did in a performance."""
+        return load_plan(RECORDED).actions[40:47, :-1][:, self.servos]
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -50,13 +70,11 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side):
 
 
 def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch):
-    scene, servos, _ = hand_alone(build_scene(), "right")
-    actions = load_plan(RECORDED).actions[40:47, :-1][:, servos]
-    simulation = PlanningSimulation(scene)
-    rollouts = HandRollouts(scene, simulation.control_timestep)
-    y = scene.keyboard.centre[:, 1]
-    simulation.set_joints(scene.hand_start, np.zeros_like(scene.hand_start), np.zeros(len(y)))
-    rollouts.start_from(simulation, y[30], y[50])
+    hand = Alone()
+    actions, rollouts = hand.recorded, hand.rollouts
+    start = hand.scene.hand_start
+    hand.simulation.set_joints(start, np.zeros_like(start), np.zeros(88))
+    hand.start()
     paths = [path for path, _ in rollouts.run(actions)]
     followed: list[np.ndarray] = []
 
@@ -75,13 +93,8 @@ def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch):
 
 
 def test_a_rollout_continues_from_a_state_that_another_has_kept():
-    scene, servos, _ = hand_alone(build_scene(), "right")
-    actions = load_plan(RECORDED).actions[40:47, :-1][:, servos]
-    simulation = PlanningSimulation(scene)
-    rollouts = HandRollouts(scene, simulation.control_timestep)
-    y = scene.keyboard.centre[:, 1]
-    rollouts.start_from(simulation, y[30], y[50])
-    kept = [2, 5]
+    hand, kept = Alone(), [2, 5]
+    actions, rollouts = hand.recorded, hand.rollouts
     whole = [path for path, _ in rollouts.run(actions, kept=kept)]
     list(rollouts.run(actions[:1]))  # of something else
     for first in (2, 5):
@@ -90,22 +103,19 @@ def test_a_rollout_continues_from_a_state_that_another_has_kept():
 
 
 def test_fingertips_move_with_servos_as_the_jacobian_says():
-    scene, _, _ = hand_alone(build_scene(), "left")
-    simulation, moved = PlanningSimulation(scene), PlanningSimulation(scene)
-    rollouts = HandRollouts(scene, simulation.control_timestep)
-    y = scene.keyboard.centre[:, 1]
-    rollouts.start_from(simulation, y[30], y[50])
+    hand = Alone("left")
+    scene, moved = hand.scene, PlanningSimulation(hand.scene)
     rng = np.random.default_rng(0)
     low, high = scene.model.jnt_range[scene.model.dof_jntid[scene.hand_qvel]].T
     posture = rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high)
-    (jacobian,) = rollouts.fingertip_jacobian(posture[None])
+    (jacobian,) = hand.rollouts.fingertip_jacobian(posture[None])
     servos = servos_of(scene)
     change = 1e-6 * rng.standard_normal(len(servos.low))
     step = servos.joints.T @ change
-    for simulated, qpos in ((simulation, posture), (moved, posture + step)):
-        simulated.set_joints(qpos, np.zeros_like(qpos), np.zeros(len(y)))
+    for simulated, qpos in ((hand.simulation, posture), (moved, posture + step)):
+        simulated.set_joints(qpos, np.zeros_like(qpos), np.zeros(88))
     before, after = (
-        each.state.fingertip_xpos[0, scene.present_fingers] for each in (simulation, moved)
+        each.state.fingertip_xpos[0, scene.present_fingers] for each in (hand.simulation, moved)
     )
     np.testing.assert_allclose(jacobian @ change, after - before, atol=1e-10)
 
@@ -139,19 +149,16 @@ def test_models_are_few_however_far_a_hand_goes_and_the_same_when_made_again(mon
         return model
 
     monkeypatch.setattr(hand_rollouts, "reduced_model", recorded)
-    scene, _, _ = hand_alone(build_scene(), "right")
-    simulation = PlanningSimulation(scene)
-    rollouts = HandRollouts(scene, simulation.control_timestep)
-    y = scene.keyboard.centre[:, 1]
-    actions = np.zeros((AHEAD, scene.model.nu))
+    hand = Alone()
+    actions = np.zeros((AHEAD, hand.scene.model.nu))
 
     def tried() -> list[np.ndarray]:
-        rollouts.start_from(simulation, y[30], y[50])
-        return [fingertips.copy() for _, fingertips in rollouts.run(actions)]
+        hand.start()
+        return [fingertips.copy() for _, fingertips in hand.rollouts.run(actions)]
 
     before = tried()
     for low in range(0, 84, 6):
         for high in range(low + 6, 88, 24):
-            rollouts.start_from(simulation, y[low], y[high])
+            hand.start(low, high)
     assert 1 < len(alive) <= 16
     np.testing.assert_array_equal(tried(), before)
