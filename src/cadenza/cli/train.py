@@ -203,12 +203,13 @@ def _prints_how_to_resume(folder: Path, config: TrainingConfig) -> Iterator[None
 
 def _train_until_stopped(training: Training, command: Train, run: RunFolder, song: str) -> bool:
     """Train until the last step, or until a signal; return whether the last step was reached."""
-    from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
+    from cadenza.report.scalars import TensorBoard, WeightsAndBiases
 
-    shown: list[Scalars] = [TensorBoard(run.path / "tensorboard", training.step)]
+    logs: list[TensorBoard | WeightsAndBiases]
+    logs = [TensorBoard(run.path / "tensorboard", training.step)]
     if command.wandb:
         settings = asdict(training.config)
-        shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
+        logs.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
     write_page = RateLimited(
         lambda: _write_curves(run.path, song, training.config, going_on=True),
         _PAGE_INTERVAL,
@@ -225,8 +226,8 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
         def should_continue() -> bool:
             nonlocal scores, num_shown
             for row in training.rows[num_shown:]:
-                for scalars in shown:
-                    scalars.add(row)
+                for log in logs:
+                    log.add(row)
                 write_page(at_once=not (run.path / _PAGE).exists())
                 if "eval/f1" in row:
                     onsets, best = (r["eval/note_onset_f1"] for r in (row, training.best))
@@ -238,8 +239,8 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
 
         training.run(should_continue)
         should_continue()
-    for scalars in shown:
-        scalars.close()
+    for log in logs:
+        log.close()
     return training.step >= training.config.num_steps
 
 

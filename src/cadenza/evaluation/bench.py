@@ -162,8 +162,8 @@ def bench(
 ) -> BenchState:
     """Carry out what is not complete yet, also runs that have failed before if `retry`.
 
-    `ended` is told of each run that has finished or failed, or whose process has died and that is
-    tried again. `should_continue` is often asked; once it says False, all runs are ended.
+    `ended` is called with each run that has finished or failed, or is tried again since its process
+    has died. `should_continue` is often asked; once it says False, all runs are ended.
     """
     state = BenchState(folder / RUNS, len(jobs), is_complete)
     for job in jobs:

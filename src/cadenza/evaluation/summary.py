@@ -256,7 +256,7 @@ def _of_each_piece(scores: Scores, metric: str) -> tuple[Scores, Scores, Scores]
 
 
 def _groups(pieces: Sequence[SongFacts], scores: AllScores) -> Iterator[Group]:
-    """Yield all pieces, those that all agents played if they are fewer, and several libraries."""
+    """Yield all pieces, the ones that all agents played if fewer, and several libraries."""
     libraries: dict[str, list[int]] = {}
     for i, piece in enumerate(pieces):
         libraries.setdefault(piece.library, []).append(i)

@@ -120,7 +120,7 @@ def arranged_for(
     That is so if it is played `as_it_is`, with `arrange="off"`, and with "auto" and no level where
     the plan of what the `task` plays foresees few losses: 10 % of the notes are out of reach in
     music for one instrument, or 4 % missed in other music, of whose melody and bass 1 % may be left
-    out. `progress` is told of "fingers". Raises CadenzaError if the song has no notes, or is to be
+    out. `progress` gets "fingers". Raises CadenzaError if the song has no notes, or is to be
     arranged, and the scene has no hands.
     """
     fingers, arrangement = partial(progress, "fingers"), song.arrangement

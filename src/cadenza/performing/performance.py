@@ -121,7 +121,7 @@ class Performance:
 
         Args:
             folder: files of an earlier performance are replaced.
-            progress: is told how far each stage is.
+            progress: is called with how far each stage is.
             page: report.html too.
             voice: what makes the notes of its sound; the built-in piano unless it is another.
         """
@@ -223,7 +223,7 @@ def play(
         setup: the name of a setup, such as "allegro", in place of a scene; its agent plays unless
             one is given, in its task unless one is given.
         plan: the file whose actions "playback" plays: a plan or an episode.
-        progress: is told how far each stage is, `progress(stage, done, total)`.
+        progress: is called with how far each stage is, `progress(stage, done, total)`.
         num_threads: how many threads a planner uses, by default two, one for each hand; it plays
             the same.
     """

@@ -53,7 +53,7 @@ class Practising:
     def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
         """Restore what was practised in the folder, and write what it is practice of.
 
-        Whoever practises locks the folder; `progress` is told of "fingers" and "postures". Raises
+        Whoever practises locks the folder; `progress` gets "fingers" and "postures". Raises
         CadenzaError if the folder holds practice of something else, or it cannot be read.
         """
         assert isinstance(setup.agent, Planner)

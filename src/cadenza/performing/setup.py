@@ -215,7 +215,7 @@ def set_up(
         arrangement: which notes of the song.
         seed: of everything random.
         num_threads: of an agent that can use several; by default its own, or one for each hand.
-        progress: is told of "fingers", which are looked for before anyone plays.
+        progress: is called with "fingers", which are looked for before anyone plays.
     """
     seed = whole_number(seed, "seed", 0, MAX_SEED)
     if num_threads is not None:
@@ -308,7 +308,7 @@ def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> No
 def _about_hands(track: GoalTrack, song: Score, own: Score) -> Iterator[str]:
     """Yield what one hand leaves to the other, and what is not played as it is written for hands.
 
-    `song` has all notes, `own` those that are written for the hands of the scene.
+    `song` has all notes, `own` what is written for the hands of the scene.
     """
     if others := len(song.notes) - len(own.notes):
         (side,) = track.scene.sides

@@ -53,7 +53,7 @@ def train(
         folder: of the run; nothing else may be in it. If the run is killed,
             `cadenza train --resume` continues it from the last checkpoint.
         config: how to train; by default the command's preset "fast".
-        progress: is told how far it is, `progress("learning", done, total)`.
+        progress: is called with how far it is, `progress("learning", done, total)`.
         options: fields of `TrainingConfig`, which change `config`.
     """
     songs = [song] if isinstance(song, Score | Song | str | Path) else song

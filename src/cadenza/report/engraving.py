@@ -34,7 +34,7 @@ _MUSIC_FONT = "Leipzig"
 _MAX_PAGE_LENGTH = 60_000  # the greatest height of a page that Verovio takes
 _MARGIN = 400  # about the systems of a document and between them, in tenths of these
 # Verovio keeps a finger's number clear of what is above and below its own width, which is less than
-# that of a note's head: so it is told of wider ones, that stems beside them are kept clear of, too.
+# that of a note's head: so it gets wider ones, and keeps stems beside them clear of them, too.
 _WIDE_FINGERS, _FINGERS = 0.95, 0.75  # parts of the size of other texts: as told, and as drawn
 _DRAWN = {"fing": _FINGERS / _WIDE_FINGERS, "tempo": 0.7}  # parts of the room that they are given
 _OPTIONS = {

@@ -1,21 +1,14 @@
-"""Metrics of a training run for TensorBoard and Weights & Biases."""
+"""Metrics of a training run for TensorBoard and Weights & Biases, row by row.
+
+The step of a row is `eval_step`, or else `step`.
+"""
 
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from cadenza.errors import extra_packages
-
-
-class Scalars(Protocol):
-    """Destination of rows of metrics."""
-
-    def add(self, row: Mapping[str, float]) -> None:
-        """Add a row; its step is `eval_step`, or else `step`."""
-
-    def close(self) -> None:
-        """Write what is left."""
 
 
 class TensorBoard:

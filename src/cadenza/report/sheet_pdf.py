@@ -20,7 +20,7 @@ from cadenza.music.score import Score
 from cadenza.report.engraving import Engraving, System, engraved
 
 # Widths of a system in Verovio's pixels: with the first, a staff is 6.5 mm high. The others are for
-# music of which the first leaves a bar to a system of its own.
+# music where the first leaves a bar to a system of its own.
 _STAVES = 2000, 1900, 2100, 1800, 2200
 _WIDTH, _HEIGHT = 595, 842  # [pt] of a page, A4
 _MARGIN = 42  # [pt] at each edge

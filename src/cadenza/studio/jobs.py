@@ -134,7 +134,7 @@ class JobQueue:
         self.practice.pause(num_busy > 0)
 
     def _has_room(self) -> bool:
-        """Return whether another job can play now, beside those that play or write their files."""
+        """Return whether another job can play now, beside others that play or write their files."""
         busy = [job for job in self.jobs.values() if job.is_busy]
         num_writing = sum(job.status["state"] in _WRITING for job in busy)
         has_room = len(busy) - num_writing < self._at_once and num_writing <= _MAX_WRITING

@@ -175,7 +175,7 @@ def serve(
     ready: Callable[[str], None] = announce,
     address_file: Path | None = None,
 ) -> None:
-    """Serve until the process is told to end.
+    """Serve until the process is to end.
 
     Raises CadenzaError if somebody else listens there, there is no such address, or others may have
     written the file.

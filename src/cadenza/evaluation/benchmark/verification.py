@@ -76,7 +76,7 @@ class PlayedAgain:
 
 
 def verify(folder: Path, progress: Progress = silent) -> PlayedAgain:
-    """Play every run of an entry again, and compare; `progress` is told how many of how many.
+    """Play every run of an entry again, and compare; `progress` gets how many of how many.
 
     Raises CadenzaError if it is no whole entry, or cannot be played; the error says why in a line.
     """

@@ -46,7 +46,7 @@ class Variation:
 
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """Return an excerpt of so many `seconds`, and when it begins in the score [s].
+    """Return an excerpt of `seconds`, and when it begins in the score [s].
 
     It begins `where` a note does, from 0 for the first to 1 for the last possible one.
     """

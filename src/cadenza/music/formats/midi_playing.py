@@ -335,7 +335,7 @@ class Part:
 
     @property
     def sounds(self) -> bool:
-        """Whether any of its notes lasts, unlike those that only switch something."""
+        """Whether any of its notes lasts, unlike notes that only switch something."""
         return any(note.end > note.start for note in (*self.notes, *self.muted))
 
     def finish(self, end: int) -> None:

@@ -152,7 +152,7 @@ def rendered(content: bytes, form: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Humdrum of which Verovio makes all bars and sections, in little time.
+    """Humdrum from which Verovio makes all bars and sections, in little time.
 
     It has sections begin at barlines only, and takes those with numbers for endings, which they
     need not be where a list says the order.

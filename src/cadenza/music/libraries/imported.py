@@ -1,6 +1,6 @@
 """The song libraries that a user has imported, each in a folder with an index and files.
 
-They are in the user's data folder, or in that which the environment variable CADENZA_DATA names.
+They are in the user's data folder, or in the one that the environment variable CADENZA_DATA names.
 
 An import fills a folder of another name, which takes the place of the library at last.
 """

@@ -68,7 +68,7 @@ def open_library(spec: str | Path) -> Library:
 
     Args:
         spec: the name of a library, see `libraries`, that of a bundled song or the path of a music
-            file, of which the library is only that one, or the path of a folder of MIDI or MusicXML
+            file, which is then all of the library, or the path of a folder of MIDI or MusicXML
             files, which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
             after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are N
             etudes, drawn from the seed 0 or from that of `etudes:N:SEED`. A folder that has the

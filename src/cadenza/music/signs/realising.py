@@ -284,7 +284,7 @@ def break_chords(notes: Iterable[SoundingNote]) -> None:
             note.start = start + place * each
 
 
-_UNMEASURED = 3  # marks in place of those that a tremolo without measure lacks
+_UNMEASURED = 3  # marks, as a tremolo without measure has none
 _MAX_MARKS = 8  # as in MusicXML
 
 
