@@ -102,8 +102,8 @@ async def read_upload(path: Path) -> dict[str, Any]:
 
 
 async def opening_picture(song: str) -> bytes:
-    """Return the first picture of a song, see `cadenza.studio.opening`; nothing if it fails."""
+    """Return the first picture of a song, see `studio.state_stream`; nothing if it fails."""
     try:
-        return await _output_of("cadenza.studio.opening", song, stderr=DEVNULL) or b""
+        return await _output_of("cadenza.studio.state_stream", song, stderr=DEVNULL) or b""
     except OSError:  # there is no room for it
         return b""

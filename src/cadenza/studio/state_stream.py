@@ -1,13 +1,20 @@
-"""Stream of states: sends what is to be played and then each step, while it is played."""
+"""Stream of states: sends what is to be played and then each step, while it is played.
 
+`python -m cadenza.studio.state_stream SONG` prints what is sent of a song before its first step,
+for the first picture of the page: hands at rest, and the notes to come.
+"""
+
+import os
+import sys
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.registry import PLANNER
 from cadenza.music.performance import SoundedNotes, key_events
 from cadenza.performing.performance import Performance
-from cadenza.performing.setup import Setup
+from cadenza.performing.setup import Setup, find_player, set_up
 from cadenza.report.engraving import Engraver
 from cadenza.report.performance_page import arranged_notes, finger_numbers, lost_notes, packed
 from cadenza.scene.drawing import drawing
@@ -131,3 +138,19 @@ class StateStream:
             if is_struck:
                 sounds[event.key] |= int(event.velocity)
         return sounds, times
+
+
+# The first picture
+
+_NICENESS = 4  # the process that plays gets ready beside it
+
+
+def main() -> None:
+    """Print the picture of the song that the command line names."""
+    os.nice(_NICENESS)
+    with set_up(sys.argv[1], find_player(PLANNER)) as setup:
+        StateStream(setup, lambda message: print(message.content.decode())).begin()
+
+
+if __name__ == "__main__":
+    main()
