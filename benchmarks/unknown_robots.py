@@ -24,8 +24,8 @@ from benchmarks.arguments import parser_for
 from cadenza.agents.agent import Agent
 from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.robot.practice import learn_in_ten_plays
 from cadenza.agents.robot.simulated import SimulatedRobot
-from cadenza.agents.robot.ten_plays import learn_in_ten_plays
 from cadenza.agents.rollout import EpisodeResult, begin_episodes, play_episode
 from cadenza.errors import errors_in_a_line
 from cadenza.evaluation.statistics import bootstrap_interval

@@ -26,7 +26,7 @@ from cadenza.music.libraries.library import load_score, open_library
 from cadenza.music.score import Score
 
 if TYPE_CHECKING:
-    from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
+    from cadenza.learning.algorithms.generalist.excerpts import ExcerptRun
     from cadenza.learning.checkpointed_run import CheckpointedRun
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.robot.practice import ScoredPlay, learn_in_ten_plays
 from cadenza.agents.robot.protocol import Robot
 from cadenza.agents.robot.simulated import SimulatedRobot
-from cadenza.agents.robot.ten_plays import ScoredPlay, learn_in_ten_plays
 from cadenza.agents.rollout import begin_episodes, play_episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.files import write_json, write_tensors

@@ -2,25 +2,39 @@
 
 What a planner plays on the nominal robot is played without feedback, and corrected from play to
 play by iterative learning control: of joints, so that they move as on the nominal robot, and of
-notes, so that they sound as they are written.
+notes, so that they sound as they are written. A song is played ten times, of which the first two
+are the generalist's if it knows such hands, and once more as it was heard best.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.robot.closed_loop import ClosedLoop
 from cadenza.agents.robot.corrections import NoteCorrections, PressCorrections
-from cadenza.agents.robot.protocol import Play, notes_heard, scores_heard
+from cadenza.agents.robot.protocol import (
+    Act,
+    Play,
+    Robot,
+    in_turn,
+    notes_heard,
+    play,
+    scores_heard,
+)
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.episode import Episode
 from cadenza.music.score import Note
 from cadenza.scene.randomization import sliding
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import DomainRandomization
+from cadenza.tasks.unknown_robot import PLAYS
+from cadenza.tasks.view import View
 
 _GAIN = 0.8  # share of the errors of joints that is corrected
 # Of squared changes of controls beside squared errors of joints, times the number of plays: the
@@ -28,6 +42,7 @@ _GAIN = 0.8  # share of the errors of joints that is corrected
 _COST, _COST_OF_SLIDES = 0.1, 0.003
 _COST_OF_PLAN = 0.2  # the same before the first play
 _WORSE = 0.15  # below the best score, from which on it is hardly chance, and practice goes back
+_CLOSED_LOOP = 2  # plays, after which little more is found of the servos
 _LESS = 0.5  # share of corrections after a play that was worse
 
 
@@ -153,3 +168,52 @@ class RobotPractice:
         change = self._share * _GAIN * error + self._wanted(corrections) - wanted
         sent = take.actions[:, :-1] - self._postures[0]
         return _Learnt(corrections, self._robot.controls(sent, change, self._cost * self._plays))
+
+
+class ScoredPlay(NamedTuple):
+    """A play, and how it was heard."""
+
+    actions: Array
+    """(T, A) in actuator units, the pedal last."""
+    f1: float
+    note_onset_f1: float
+
+
+def learn_in_ten_plays(
+    robot: Robot, view: View, plan: SongPlan, nominal: Episode, known: DomainRandomization
+) -> Iterator[ScoredPlay]:
+    """Play a song ten times on a robot, and once more as it was heard best.
+
+    The first plays are the generalist's in closed loop, if it knows such hands. The others practise
+    what the planner played on the nominal robot.
+
+    Args:
+        robot: the driver of the robot.
+        view: a view before the first step on the nominal robot.
+        plan: the planner's plan.
+        nominal: what it played on the nominal robot.
+        known: how robots are drawn.
+    """
+    track, num_steps = plan.track, int(view.num_steps[0])
+    dt = track.config.control_timestep
+    response = usual_response(servos_of(plan.scene), dt, known)
+    done = list[tuple[float, Callable[[], Act]]]()
+    if ClosedLoop.knows(view):
+        closed = ClosedLoop(view, known)
+        for _ in range(_CLOSED_LOOP):
+            how: Callable[[], Act] = partial(closed.acting, closed.response)
+            played = play(robot, num_steps, how())
+            take = ScoredPlay(played.actions, *closed.learn(played))
+            done.append((take.f1 + take.note_onset_f1, how))
+            yield take
+        response = closed.response
+    practice = RobotPractice(plan, nominal, known, response)
+    while len(done) < PLAYS:
+        how = partial(in_turn, practice.actions())
+        heard = practice.learn(play(robot, num_steps, how()))
+        done.append((heard.score, how))
+        yield ScoredPlay(heard.actions, heard.f1, heard.note_onset_f1)
+    _, best = max(done, key=lambda each: each[0])
+    played = play(robot, num_steps, best())
+    notes = notes_heard(played.heard, num_steps * dt, practice.sensors_late)
+    yield ScoredPlay(played.actions, *scores_heard(track, notes))

@@ -2,28 +2,40 @@
 
 Each finger has its own reward: what its keys lack, wrong keys that it is nearest to, how far its
 strikes are off their times and speeds, and its fingertip from the plan.
+
+RUN/weights.npz     the networks of a run on them
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from copy import copy
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
+from cadenza.agents.generalist.generalist import shipped_for
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
+from cadenza.agents.planner.search.networks.inputs import sizes_of
+from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.agents.planner.search.strikes import as_heard, strike_costs
+from cadenza.errors import CadenzaError
+from cadenza.files import sha256_of
+from cadenza.learning.algorithms.generalist.config import ExcerptConfig
 from cadenza.learning.algorithms.generalist.hand_networks import Array
+from cadenza.learning.algorithms.on_jax import start_jax
+from cadenza.learning.checkpointed_run import CheckpointedRun
 from cadenza.music.score import Score
-from cadenza.scene.scene import Scene
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
@@ -293,3 +305,58 @@ class ExcerptEnvs:
 
     def _state(self, env: int) -> State:
         return State._make(values[env : env + 1] for values in self._simulation.state)
+
+
+class ExcerptRun(CheckpointedRun):
+    """A run on excerpts, which a resumed one begins anew; another `num_rounds` changes its end."""
+
+    def __init__(
+        self,
+        config: ExcerptConfig,
+        library: str,
+        scores: Sequence[Score],
+        folder: Path,
+        weights: Path | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        """Resume the run in `folder`, or begin it on `scores`, excerpts of songs of a `library`.
+
+        It begins with the networks in the file `weights`, by default those of Cadenza; `progress`
+        counts the excerpts that are planned.
+
+        Raises CadenzaError if an option makes no sense, there is no score, the networks are of
+        other hands, or the folder holds a run with other options.
+        """
+        config.check()
+        if not scores:
+            raise CadenzaError(f"{library}: no songs to play")
+        rng = np.random.default_rng(config.seed)
+        interval = config.checkpoint_interval
+        super().__init__(self.folder_at(folder), config.num_rounds, interval, rng)
+        start_jax()
+        self.config, scene = config, build_scene()
+        initial = _initial_weights(scene, weights)
+        options = asdict(config)
+        manifest = {"num_rounds": options.pop("num_rounds"), "config": options, "library": library}
+        manifest["weights"] = None if weights is None else sha256_of(weights)
+        self.folder.begin_or_continue(manifest, changeable=("num_rounds",))
+        self._prepare(initial, scene)
+        self.resume()
+        if not self.finished:
+            excerpts = planned_excerpts(scores, progress)
+            self._envs = ExcerptEnvs(excerpts, scene, config.num_envs, self._rng)
+
+    @abstractmethod
+    def _prepare(self, initial: Weights, scene: Scene) -> None:
+        """Begin with these networks, before a checkpoint is restored."""
+
+
+def _initial_weights(scene: Scene, path: Path | None) -> Weights:
+    """The networks of a file, by default those of Cadenza for the hands of a scene.
+
+    Raises CadenzaError if they are of other hands, or the file is damaged.
+    """
+    weights = shipped_for(scene) if path is None else Weights.load(path)
+    if weights is None or weights.sizes != sizes_of(scene):
+        raise CadenzaError(f"{path}: networks of other hands than {scene.hand.name}")
+    return weights

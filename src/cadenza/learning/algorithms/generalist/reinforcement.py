@@ -16,8 +16,7 @@ import optax
 
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.learning.algorithms.generalist.config import GeneralistReinforcementConfig
-from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
-from cadenza.learning.algorithms.generalist.excerpts import ExcerptRollout
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptRollout, ExcerptRun
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,

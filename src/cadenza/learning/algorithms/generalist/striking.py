@@ -24,8 +24,7 @@ from cadenza.agents.planner.search.networks.weights import CONSTANTS, INPUT_LIMI
 from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.generalist.config import GeneralistStrikingConfig
-from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
-from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, ExcerptEpisode
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, ExcerptEpisode, ExcerptRun
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,
