@@ -19,7 +19,6 @@ from cadenza.cli import (
     dataset,
     hand,
     info,
-    plan,
     play,
     practice,
     songs,
@@ -35,7 +34,7 @@ from cadenza.registry import module_of
 
 COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "play": (play.PlayCommand, play.run),
-    "plan": (plan.PlanCommand, plan.run),
+    "plan": (play.PlanCommand, play.plan),
     "film": (play.Film, play.make_film),
     "arrange": (arrange.Arrange, arrange.run),
     "studio": (studio.StudioCommand, studio.run),

@@ -14,8 +14,6 @@ import numpy as np
 
 from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, quoted
-from cadenza.music.etudes.chorale import chorale
-from cadenza.music.etudes.counterpoint import counterpoint
 from cadenza.music.etudes.harmony import random_key
 from cadenza.music.etudes.homophony import (
     alberti,
@@ -25,6 +23,7 @@ from cadenza.music.etudes.homophony import (
     repeated_notes,
     trills,
 )
+from cadenza.music.etudes.polyphony import chorale, counterpoint
 from cadenza.music.etudes.scales import DRILLS, drill, hanon, scales
 from cadenza.music.etudes.sheet import EtudeSheet, Tone, pick
 from cadenza.music.libraries.songs import Library, Song
