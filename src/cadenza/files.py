@@ -84,18 +84,21 @@ def _permissions(path: Path) -> int | None:
 
 
 @contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def new_folder(path: Path, replaces: bool = False) -> Iterator[Path]:
     """Yield a folder that becomes `path` when the block ends without an error.
 
-    Raises CadenzaError if there is something at `path`, other than an empty folder.
+    Raises CadenzaError if there is something at `path` that it does not replace, other than an
+    empty folder.
     """
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+    if path.exists() and not replaces and not (path.is_dir() and not any(path.iterdir())):
         raise CadenzaError(f"{path}: exists already; choose another folder with --output")
     path = path.resolve()  # "." could not be replaced
     temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"
     temporary.mkdir(parents=True)
     try:
         yield temporary
+        if replaces:
+            shutil.rmtree(path, ignore_errors=True)
         os.replace(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

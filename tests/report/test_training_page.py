@@ -16,8 +16,7 @@ import pytest
 from cadenza.errors import CadenzaError
 from cadenza.installing import install_line
 from cadenza.report.html_pages import write_page
-from cadenza.report.scalars import TensorBoard, WeightsAndBiases
-from cadenza.report.training_page import Curve, training_page
+from cadenza.report.training_page import Curve, TensorBoard, WeightsAndBiases, training_page
 from headless import Browser, needs_chromium
 
 STEPS = "F1"

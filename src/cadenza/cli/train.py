@@ -153,7 +153,7 @@ def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training, begin
     from cadenza.performing.performance import play
-    from cadenza.report.scalars import need_wandb
+    from cadenza.report.training_page import need_wandb
 
     run = RunFolder(folder)
     if command.wandb:
@@ -203,7 +203,7 @@ def _prints_how_to_resume(folder: Path, config: TrainingConfig) -> Iterator[None
 
 def _train_until_stopped(training: Training, command: Train, run: RunFolder, song: str) -> bool:
     """Train until the last step, or until a signal; return whether the last step was reached."""
-    from cadenza.report.scalars import TensorBoard, WeightsAndBiases
+    from cadenza.report.training_page import TensorBoard, WeightsAndBiases
 
     logs: list[TensorBoard | WeightsAndBiases]
     logs = [TensorBoard(run.path / "tensorboard", training.step)]

@@ -21,11 +21,10 @@ from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked, parsed_json
 from cadenza.music.formats.reading import check_format
 from cadenza.music.formats.source import printable
-from cadenza.studio.access import AccessControl
 from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.jobs import JobQueue
 from cadenza.studio.limits import MAX_BYTES
-from cadenza.studio.page_server import PARTS, page
+from cadenza.studio.page_server import PARTS, AccessControl, page
 from cadenza.studio.processes import opening_picture, read_upload
 from cadenza.studio.request import AGENTS, hand_titles, read_request
 from cadenza.studio.storage import FILES, Storage, Upload

@@ -7,7 +7,6 @@ An import fills a folder of another name, which takes the place of the library a
 
 import os
 import re
-import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from pathlib import Path
 from platformdirs import user_data_path
 
 from cadenza.errors import CadenzaError, in_a_line, is_full, quoted
-from cadenza.files import TEMPORARY, locked_file
+from cadenza.files import TEMPORARY, locked_file, new_folder
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
 from cadenza.music.libraries.songs import Library, Song
@@ -122,7 +121,6 @@ def new_library(
             "dashes or underscores"
         )
     all_libraries = _libraries_folder()
-    place = all_libraries / name
     all_libraries.mkdir(parents=True, exist_ok=True)
     with locked_file(all_libraries / ".lock") as ours:
         if not ours:
@@ -134,18 +132,13 @@ def new_library(
             )
         for unfinished in all_libraries.glob(f"{TEMPORARY}*"):
             shutil.rmtree(unfinished, ignore_errors=True)
-        library = NewLibrary(name, all_libraries / f"{TEMPORARY}{secrets.token_hex(8)}", grade)
-        library.folder.mkdir()
-        try:
+        with new_folder(all_libraries / name, replaces=True) as folder:
+            library = NewLibrary(name, folder, grade)
             yield library
             if not library.rows:
                 first = "".join(library.left_out[:1])
                 raise CadenzaError(f"{name}: not one piece can be read; {first or 'none is there'}")
-            write_index(library.folder / INDEX, library.rows)
-            shutil.rmtree(place, ignore_errors=True)
-            os.replace(library.folder, place)
-        finally:
-            shutil.rmtree(library.folder, ignore_errors=True)
+            write_index(folder / INDEX, library.rows)
 
 
 def _hands(score: Score) -> int | None:
