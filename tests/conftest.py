@@ -8,7 +8,7 @@ import pytest
 
 # Processes of tests share the cores; threads of linear algebra would wait for each other there.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-import cadenza  # noqa: F401 - before any test imports NumPy, and so as commands do
+import cadenza  # before any test imports NumPy, and so as commands do
 
 # JAX compiles many programs here, each of which runs for moments: every one once, into a folder
 # that all tests on such a processor share, also later ones, and without optimizing it.
@@ -52,6 +52,22 @@ def engraves_here():
         name = "cadenza.report.performance_page.engraving_within"
         patch.setattr(name, lambda _, score: engraving_of(score))
         yield
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """Both Shadow Hands at a piano; nobody changes it."""
+    from cadenza.scene.scene import build_scene
+
+    return build_scene()
+
+
+@pytest.fixture(scope="session")
+def right_hand():
+    """The right one alone."""
+    from cadenza.scene.scene import build_scene
+
+    return build_scene(cadenza.SceneConfig(hands="right"))
 
 
 LONGEST = (  # files that take tens of seconds, the longest first

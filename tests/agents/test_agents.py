@@ -37,11 +37,6 @@ FEW_CANDIDATES = PredictiveSamplingConfig(num_candidates=3)
 STEPS = 19
 
 
-@pytest.fixture(scope="module")
-def right_hand():
-    return build_scene(SceneConfig(hands="right"))
-
-
 def perform(agent: Agent, scene: Scene, seed: int = 0, score: Score = TUNE) -> EpisodeResult:
     return play_episode(PianoTask([score], CONFIG, scene), agent, seed)
 

@@ -12,7 +12,7 @@ from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.lateness import Lateness, StateEstimator, earlier
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 from cadenza.tasks.piano_task import PianoTask
 
 # Bars of one hand, in which a step of delay is a miss.
@@ -20,11 +20,6 @@ TUNE = Score(
     tuple(Note(0.4 * k, 0.4 * k + 0.3, pitch) for k, pitch in enumerate((60, 62, 64, 65, 67, 64))),
     title="A tune",
 )
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
 
 
 def task_of(scene: Scene, **options: Any) -> PianoTask:

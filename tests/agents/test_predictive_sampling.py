@@ -14,8 +14,7 @@ from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.planner.config import ILQGConfig, PredictiveSamplingConfig
 from cadenza.music.score import Note, Score
-from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
@@ -26,11 +25,6 @@ from watched import watched
 
 STEP = 0.05  # [s]
 CHORD = Score(tuple(Note(0.0, 1.0, 72 + 2 * i, finger=finger(i)) for i in range(1, 4)))
-
-
-@pytest.fixture(scope="module")
-def right_hand():
-    return build_scene(SceneConfig(hands="right"))
 
 
 def started(agent: Agent, scene: Scene) -> PianoTask:

@@ -13,17 +13,10 @@ from cadenza.arranging.moments import beats_of
 from cadenza.fingering.search import find_fingering
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Bar, Note, Score, Track
-from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import build_scene
 from cadenza.tasks.goal_track import players_of
 
 SONGS = ("benchmark/band-1026", "benchmark/band-1029", "benchmark/band-1031")
 EASY = "benchmark/band-1026"
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene(SceneConfig())
 
 
 @pytest.fixture(scope="module")

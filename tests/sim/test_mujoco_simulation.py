@@ -16,11 +16,6 @@ from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.planning_simulation import PlanningSimulation
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
-
-
 @pytest.mark.parametrize("num_threads", [1, 2])
 def test_a_diverging_simulation_is_reported_once_and_harms_no_other(scene, num_threads, caplog):
     healthy = MujocoSimulation(scene, 3)

@@ -16,11 +16,6 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 DATA = Path(__file__).parents[1] / "data"
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
-
-
 @pytest.mark.parametrize("num_threads", [1, 2])
 def test_rollout_is_many_steps(scene, num_threads):
     ctrl = np.stack(list(controls(scene, 3)), axis=1)

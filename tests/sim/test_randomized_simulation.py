@@ -14,11 +14,6 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import HeldControls
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
-
-
 def randomized(scene: Scene, seed: int) -> MujocoSimulation:
     simulation = MujocoSimulation(scene)
     simulation.randomize(0, drawn(scene, seed))

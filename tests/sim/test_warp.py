@@ -8,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.scene.randomization import shapes
-from cadenza.scene.scene import build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.protocol import HeldControls
 
@@ -20,11 +19,6 @@ POSITIONS = 1e-4  # [m, rad] by which single precision and keys that never sleep
 SPEEDS = 0.05  # [m/s, rad/s], where fingers meet keys
 TIMES = 1e-4  # [s] of onsets
 STEPS = 40
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from test_functional import ONE_NOTE, Data, RecordedPhysics
 
 from cadenza.errors import CadenzaError
 from cadenza.scene.randomization import SCALED_FIELDS, scale
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.draw_ranges import DrawRanges
@@ -33,11 +33,6 @@ FACTORS: Any = dict.fromkeys(SCALED_FIELDS, (0.7, 1.4))
 def _few_variants(monkeypatch):
     """Models are computed for fewer seeds, to save time."""
     monkeypatch.setattr(device_randomization, "VARIANTS", 16)
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
 
 
 class Following(RecordedPhysics):

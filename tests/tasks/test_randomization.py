@@ -25,7 +25,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
 from cadenza.files import read_json
 from cadenza.scene.randomization import POSE_FIELDS, SCALED_FIELDS
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks.env import PianoVectorEnv
@@ -63,11 +63,6 @@ DRAWN = {
     *(*SCALED_FIELDS, *POSE_FIELDS, "key_sounding", "gravity_tilt", "sweep_time", "dead_band"),
     *("backlash", "latency", "observation_latency", "bias", "seed"),
 }
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
 
 
 def make(num_envs: int = 1, **options: Any) -> PianoVectorEnv:
