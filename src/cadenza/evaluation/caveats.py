@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypeVar
 
 from cadenza.configs import flat
 from cadenza.errors import counted
@@ -10,6 +10,7 @@ from cadenza.evaluation.results import BenchResults, Result
 from cadenza.files import plain
 from cadenza.music.arrangement import Arrangement
 
+_T = TypeVar("_T")
 _VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
 _OWN = ("config", "agent_digest")  # what each agent has of its own
 _MUSIC = {"arrangement": asdict(Arrangement()), "task": {"stretch": 1.0, "transpose": 0}}
@@ -47,18 +48,18 @@ def caveats(bench: BenchResults) -> Iterator[tuple[str, list[str]]]:
 def _differences(results: Sequence[Result]) -> Iterator[str]:
     """Yield a line for each setting that differs among all runs, those of an agent or a piece."""
     yield from _differing([(result, _shared_settings(result)) for result in results])
-    for agent, own in _by([(result.agent, result) for result in results]).items():
+    for agent, own in by_name((result.agent, result) for result in results).items():
         yield from _differing([(r, _own_settings(r)) for r in own], f"{agent}: ")
-    for piece, own in _by([(result.song.name, result) for result in results]).items():
+    for piece, own in by_name((result.song.name, result) for result in results).items():
         yield from _differing([(r, _notes_and_fingers(r)) for r in own], f"{piece}: ")
 
 
-def _by(pairs: Iterable[tuple[str, Result]]) -> dict[str, list[Result]]:
-    """Return the results of each name."""
-    results: dict[str, list[Result]] = {}
-    for name, result in pairs:
-        results.setdefault(name, []).append(result)
-    return results
+def by_name(pairs: Iterable[tuple[str, _T]]) -> dict[str, list[_T]]:
+    """Return what each name stands beside, such as the results of each agent."""
+    named: dict[str, list[_T]] = {}
+    for name, value in pairs:
+        named.setdefault(name, []).append(value)
+    return named
 
 
 def _shared_settings(result: Result) -> dict[str, Any]:
@@ -84,37 +85,35 @@ def _differing(
 ) -> Iterator[str]:
     """Yield a line for each name whose value is not the same in all runs, and who has which."""
     for name in dict.fromkeys(name for _, values in settings for name in values):
-        by_value: dict[Any, list[str]] = {}
-        for result, values in settings:
-            value = values.get(name)
-            by_value.setdefault("not set" if value is None else str(value), []).append(result.agent)
+        by_value = by_name(
+            ("not set" if (value := values.get(name)) is None else str(value), result.agent)
+            for result, values in settings
+        )
         if len(by_value) > 1:
-            each = (
-                f"{value} in {counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
-                for value, agents in by_value.items()
-            )
+            each = (f"{value} in {_runs_of(agents)}" for value, agents in by_value.items())
             yield f"{about}{name}: {'; '.join(each)}"
+
+
+def _runs_of(agents: Sequence[str]) -> str:
+    """Return how many runs there are, and of whom."""
+    return f"{counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
 
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:
     """Return a line for each option that changes the music."""
-    changes: dict[str, list[str]] = {}
-    for result in results:
-        settings = dict(flat(result.job))
-        for name, usual in _AS_WRITTEN.items():
-            if (value := settings.get(name)) not in (usual, None):
-                changes.setdefault(f"{name} {value}", []).append(result.agent)
-    return [
-        f"{what}: {counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
-        for what, agents in changes.items()
-    ]
+    jobs = [(result.agent, dict(flat(result.job))) for result in results]
+    changes = by_name(
+        (f"{name} {job[name]}", agent)
+        for agent, job in jobs
+        for name, usual in _AS_WRITTEN.items()
+        if job.get(name) not in (usual, None)
+    )
+    return [f"{what}: {_runs_of(agents)}" for what, agents in changes.items()]
 
 
 def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
     """Return a line for each agent that has fewer runs or pieces than others."""
-    songs: dict[str, list[str]] = {}
-    for result in results:
-        songs.setdefault(result.agent, []).append(result.song.name)
+    songs = by_name((result.agent, result.song.name) for result in results)
     all_songs = {result.song.name for result in results}
     most = max(map(len, songs.values()))
     return [

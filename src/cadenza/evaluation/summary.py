@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.caveats import caveats, usable
+from cadenza.evaluation.caveats import by_name, caveats, usable
 from cadenza.evaluation.jobs import SongFacts
 from cadenza.evaluation.results import BenchResults, Result, Timing
 from cadenza.evaluation.statistics import Scores, bootstrap_interval, mean, mean_interval
@@ -257,9 +257,7 @@ def _of_each_piece(scores: Scores, metric: str) -> tuple[Scores, Scores, Scores]
 
 def _groups(pieces: Sequence[SongFacts], scores: AllScores) -> Iterator[Group]:
     """Yield all pieces, the ones that all agents played if fewer, and several libraries."""
-    libraries: dict[str, list[int]] = {}
-    for i, piece in enumerate(pieces):
-        libraries.setdefault(piece.library, []).append(i)
+    libraries = by_name((piece.library, i) for i, piece in enumerate(pieces))
     everything = range(len(pieces))
     yield _group("All pieces" if len(libraries) > 1 else pieces[0].library, everything, scores)
     common = set.intersection(*(_played(own["f1"]) for own in scores.values()))

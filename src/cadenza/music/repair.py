@@ -50,16 +50,8 @@ def repaired_notes(
         seconds: converts times of the file to seconds [s].
     """
     notes = tuple(
-        Note(
-            seconds(note.start),
-            seconds(note.end),
-            note.pitch,
-            note.velocity,
-            note.finger,
-            note.tracks,
-            note.hands,
-        )
-        for note in _without_overlaps(raw_notes, counts)
+        Note(seconds(n.start), seconds(n.end), n.pitch, n.velocity, n.finger, n.tracks, n.hands)
+        for n in _without_overlaps(raw_notes, counts)
     )
     remarks = (*remarks, *_remarks(counts))
     if not notes:

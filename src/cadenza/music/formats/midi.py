@@ -259,17 +259,8 @@ def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
         pitches = [note.pitch for note in notes]
         for note in notes:
             note.tracks = (number,)
-        tracks.append(
-            Track(
-                number,
-                _text(part.name),
-                INSTRUMENTS[program],
-                part.channel.number + 1,
-                len(pitches),
-                min(pitches),
-                max(pitches),
-            )
-        )
+        about = _text(part.name), INSTRUMENTS[program], part.channel.number + 1
+        tracks.append(Track(number, *about, len(pitches), min(pitches), max(pitches)))
     return tuple(tracks)
 
 
