@@ -30,7 +30,6 @@ from cadenza.agents.planner.plan.rest_poses import rest_posture
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.hand import Hand
 from cadenza.hands.shadow import SHADOW
-from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import servos_of
@@ -51,14 +50,13 @@ def test_forearms_of_hands_that_play_close_together_do_not_touch():
     assert apart.min() > WIDTH
 
 
-def test_links_keep_apart_by_their_radii():
+def test_links_keep_apart_by_their_radii(right_hand):
     """Against the distance of two segments as found by a general minimiser."""
-    scene = build_scene(SceneConfig(hands="right"))
-    servos = servos_of(scene)
+    servos = servos_of(right_hand)
     rng = np.random.default_rng(0)
     postures = rng.uniform(servos.low, servos.high, (20, len(servos.low)))
-    kinematics = Kinematics(scene)
-    links, pairs = kinematics.links(postures), LinkCollisions(scene.hand).within_hand
+    kinematics = Kinematics(right_hand)
+    links, pairs = kinematics.links(postures), LinkCollisions(right_hand.hand).within_hand
     overlaps = pairs.overlaps(links.points[:, 0])
     step = 1e-6 * rng.standard_normal(len(servos.low))
     moved = pairs.overlaps(kinematics.links(postures + step).points[:, 0])
@@ -184,15 +182,14 @@ def test_only_postures_that_have_moved_are_linearised_anew():
     assert bands == pytest.approx(bands_anew, abs=1e-3 * bands_anew.max())
 
 
-def test_postures_are_found_where_single_precision_does_not_do(monkeypatch):
+def test_postures_are_found_where_single_precision_does_not_do(monkeypatch, right_hand):
     """Where LAPACK says that a matrix of floats is not positive definite."""
-    scene = build_scene(SceneConfig(hands="right"))
-    servos = servos_of(scene)
+    servos = servos_of(right_hand)
     guess = np.tile(rest_posture(servos), (12, 1))
-    targets = targets_of(scene, [Press("right", 1, 41, 5, 8)], 12, 0.05)
+    targets = targets_of(right_hand, [Press("right", 1, 41, 5, 8)], 12, 0.05)
 
     def found() -> np.ndarray:
-        kinematics = Kinematics(scene)
+        kinematics = Kinematics(right_hand)
         return solve_postures(kinematics, targets, guess, guess[0], 0.05)
 
     def not_positive_definite(band: np.ndarray, own: np.ndarray, **_: Any) -> Any:

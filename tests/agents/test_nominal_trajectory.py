@@ -114,14 +114,13 @@ def test_windows_let_go_later_where_the_whole_song_does(request):
 
 @pytest.mark.usefixtures("first_guess")
 @pytest.mark.parametrize("dt", [0.01, FINER, COARSER])
-def test_windows_last_as_long_at_any_control_step(dt):
-    scene = build_scene(SceneConfig(hands="right"))
-    start = np.zeros(len(scene.hand_joint_names))
+def test_windows_last_as_long_at_any_control_step(dt, right_hand):
+    start = np.zeros(len(right_hand.hand_joint_names))
 
     def ends(seconds: float) -> list[float]:
         keys = np.zeros((round(seconds / dt), 88), bool)
         fingers = np.full(keys.shape, -1, np.int8)
-        plans = MotionPlanner(scene, dt).plans(fingers, start)
+        plans = MotionPlanner(right_hand, dt).plans(fingers, start)
         return [plan.num_steps * dt for plan in plans]
 
     assert ends(6.5) == pytest.approx([6.5])
@@ -151,32 +150,30 @@ def test_memory_of_a_long_song_is_that_of_its_plan():
 
 
 @pytest.mark.parametrize("dt", [FINER, COARSER])
-def test_hands_glide_as_fast_at_any_control_step(dt):
-    scene = build_scene(SceneConfig(hands="right"))
-    start = np.zeros(len(scene.hand_joint_names))
+def test_hands_glide_as_fast_at_any_control_step(dt, right_hand):
+    start = np.zeros(len(right_hand.hand_joint_names))
 
     def speed(dt: float) -> float:
         keys = np.zeros((round(2.4 / dt), 88), bool)
         for key, begin, end in ((45, 0.6, 0.9), (55, 1.4, 1.8)):
             keys[round(begin / dt) : round(end / dt), key] = True
         fingers = np.where(keys, np.int8(1), np.int8(-1))
-        *_, plan = MotionPlanner(scene, dt).plans(fingers, start)
-        (slide,) = servos_of(scene).along_keyboard
+        *_, plan = MotionPlanner(right_hand, dt).plans(fingers, start)
+        (slide,) = servos_of(right_hand).along_keyboard
         return float(np.diff(plan.postures[:, slide]).std() / dt)
 
     assert speed(dt) == pytest.approx(speed(0.05), rel=0.15)
 
 
-def test_postures_are_such_that_their_controls_reach_them():
+def test_postures_are_such_that_their_controls_reach_them(right_hand):
     """A thumb on black keys needs the hand further in than on white ones, as soon as it strikes."""
-    scene = build_scene(SceneConfig(hands="right"))
     keys = np.zeros((60, 88), bool)
     for i, key in enumerate((39, 40, 41, 42)):  # C4, C#4, D4, D#4
         keys[20 + 8 * i : 24 + 8 * i, key] = True
     fingers = np.where(keys, np.int8(0), np.int8(-1))
-    start = np.zeros(len(scene.hand_joint_names))
-    *_, plan = MotionPlanner(scene, 0.05).plans(fingers, start)
-    inwards = servos_of(scene).names.index("forearm_ty")
+    start = np.zeros(len(right_hand.hand_joint_names))
+    *_, plan = MotionPlanner(right_hand, 0.05).plans(fingers, start)
+    inwards = servos_of(right_hand).names.index("forearm_ty")
     lacking = np.abs(plan.postures - plan.tracking.expected[:, :, 0])[:, inwards]
     assert lacking[keys.any(axis=1).nonzero()[0] + 1].max() < 0.005
 
@@ -184,10 +181,9 @@ def test_postures_are_such_that_their_controls_reach_them():
 # Tracking
 
 
-def test_servos_follow_as_their_figures_say():
+def test_servos_follow_as_their_figures_say(right_hand):
     """The tracker's own prediction against the simulation, in the air."""
-    scene = build_scene(SceneConfig(hands="right"))
-    servos = servos_of(scene)
+    servos = servos_of(right_hand)
     middle = 0.5 * (servos.low + servos.high)
     sway = 0.1 * (servos.high - servos.low) * np.sin(np.arange(41) * 0.3)[:, None]
     sway[:, [name.startswith("forearm") for name in servos.names]] *= 0.1

@@ -15,7 +15,6 @@ from cadenza.errors import CadenzaError
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import build_scene
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.piano_task import PianoTask
 from melodies import BUFFER, COARSER, FINER, melody
@@ -68,14 +67,13 @@ def test_black_keys_and_chords_with_the_full_hand():
     assert play_episode(task, Planner()).metrics["recall"] > 0.7
 
 
-def test_same_bits_for_any_number_of_threads_and_of_environments():
+def test_same_bits_for_any_number_of_threads_and_of_environments(right_hand):
     score = Score((Note(0.0, 0.15, 60), Note(0.15, 0.35, 84)))  # too far, so that it samples
     agent = Planner()
     agent.num_threads = 1
-    scene = build_scene(SceneConfig(hands="right"))
-    alone = [play_episode(PianoTask([score], BUFFER, scene), agent, seed) for seed in (3, 4)]
+    alone = [play_episode(PianoTask([score], BUFFER, right_hand), agent, seed) for seed in (3, 4)]
     agent.num_threads = 2
-    task = PianoTask([score], BUFFER, scene, num_envs=2)
+    task = PianoTask([score], BUFFER, right_hand, num_envs=2)
     together = play_episodes(task, agent, [3, 4])
     for ours, theirs in zip(together, alone, strict=True):
         np.testing.assert_array_equal(ours.episode["action"], theirs.episode["action"])

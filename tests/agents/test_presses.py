@@ -14,7 +14,6 @@ from cadenza.fingers import SIDES
 from cadenza.hands.hand import Hand
 from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from melodies import FINER
 from numbered import FIVE
@@ -220,11 +219,13 @@ def test_hands_have_as_long_at_a_finer_control_step(far, chord):
         assert one == other._replace(first=one.first, last=one.last)
 
 
-def test_fingertips_have_as_long_at_a_finer_control_step():
-    scene = build_scene(SceneConfig(hands="right"))
+def test_fingertips_have_as_long_at_a_finer_control_step(right_hand):
     presses = [Press("right", 1, 41, 6, 9), Press("right", 1, 43, 16, 20, jumps_to=True)]
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
-    usual, fine = targets_of(scene, presses, 25, 0.05), targets_of(scene, finer, 50, FINER)
+    usual, fine = (
+        targets_of(right_hand, presses, 25, 0.05),
+        targets_of(right_hand, finer, 50, FINER),
+    )
     for one, other in zip(usual, fine, strict=True):
         np.testing.assert_allclose(other[::2], one)
 

@@ -54,12 +54,6 @@ def cloned(demonstrations, tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def library(tmp_path):
-    write_midi(SONG, tmp_path / "songs" / "song.mid")
-    return str(tmp_path / "songs")
-
-
 def same(one: Path, other: Path) -> bool:
     arrays = Weights.load(one).arrays
     return all(np.array_equal(a, arrays[n]) for n, a in Weights.load(other).arrays.items())
@@ -86,26 +80,21 @@ def test_cloning_goes_on_where_it_was_stopped(demonstrations, cloned, tmp_path):
 
 
 @pytest.mark.slow
-def test_reinforcement_changes_the_networks_and_they_play(cloned, library, tmp_path):
-    weights, folder = cloned / "weights.npz", tmp_path / "reinforced"
-    command = ["generalist", "reinforce", library, "--weights", str(weights), "-o", str(folder)]
-    main([*command, "--num-rounds", "2", *REINFORCE])
-    assert not same(folder / "weights.npz", weights)
-    agent = cadenza.make_agent("generalist", GeneralistConfig(str(folder / "weights.npz")))
-    assert cadenza.play(SONG, agent=agent).episode.num_steps > 0
-
-
-@pytest.mark.slow
-def test_reinforcement_goes_on_where_it_was_stopped(cloned, library, tmp_path):
+def test_reinforcement_goes_on_where_it_was_stopped_and_changes_the_networks(cloned, tmp_path):
+    write_midi(SONG, tmp_path / "songs" / "song.mid")
+    library = str(tmp_path / "songs")
     weights, folder = cloned / "weights.npz", tmp_path / "reinforced"
     command = ["generalist", "reinforce", library, "--weights", str(weights), "-o", str(folder)]
     main([*command, "--num-rounds", "1", *REINFORCE])  # in which only values are learnt
     assert same(folder / "weights.npz", weights)
     main([*command, "--num-rounds", "3", *REINFORCE])
+    assert not same(folder / "weights.npz", weights)
     assert len((folder / "metrics.jsonl").read_text().splitlines()) == 3
     shutil.copy(folder / "weights.npz", tmp_path / "copy.npz")
     main([*command, "--num-rounds", "3", *REINFORCE])  # nothing is left to do
     assert same(folder / "weights.npz", tmp_path / "copy.npz")
+    agent = cadenza.make_agent("generalist", GeneralistConfig(str(folder / "weights.npz")))
+    assert cadenza.play(SONG, agent=agent).episode.num_steps > 0
 
 
 @pytest.mark.slow

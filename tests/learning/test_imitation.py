@@ -161,8 +161,7 @@ def test_what_cannot_begin_leaves_nothing_in_the_way(demonstrations, tmp_path):
 
 
 def test_episodes_held_out_go_together_with_the_others(demonstrations, tmp_path):
-    mixed = tmp_path / "mixed"
-    shutil.copytree(demonstrations, mixed)
+    mixed = Path(shutil.copytree(demonstrations, tmp_path / "mixed"))
     last = max((mixed / "runs").iterdir())
     made = read_facts(last)
     write_facts(last, replace(made, scene=replace(made.scene, physics="fast")))
@@ -171,8 +170,7 @@ def test_episodes_held_out_go_together_with_the_others(demonstrations, tmp_path)
 
 
 def test_a_name_that_several_songs_have_is_told(demonstrations, tmp_path):
-    mixed = tmp_path / "mixed"
-    shutil.copytree(demonstrations, mixed)
+    mixed = Path(shutil.copytree(demonstrations, tmp_path / "mixed"))
     for folder, song in zip(sorted((mixed / "runs").iterdir()), ("a/song", "b/song"), strict=True):
         write_facts(folder, replace(read_facts(folder), song=song))
     config = replace(CONFIG, held_out=0)
