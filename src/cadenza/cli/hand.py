@@ -28,21 +28,18 @@ def measure(command: MeasureHand) -> None:
     from cadenza.hands.registry import hand_named
 
     path = Path(command.hand)
-    if path.suffix != TOML:
-        reach = ReachMeasurement(hand_named(command.hand))
-        print("fingertips at rest:", *reach.at_rest(), sep="\n    ")
-        with progress("measuring", "reaches") as advance:
-            found = reach.measure(advance).items()
-        arrays = (f"{name}=np.array({values.tolist()})," for name, values in found)
-        print("reach=Reach(", *arrays, sep="\n    ")
-        print("    forearm_width=forearm.WIDTH,\n)")
-        return
-    file, measurement = place(path)
-    reach = ReachMeasurement(file.hand(measurement))
+    placed = place(path) if path.suffix == TOML else None
+    hand = placed[0].hand(placed[1]) if placed else hand_named(command.hand)
+    reach = ReachMeasurement(hand)
     print("fingertips at rest:", *reach.at_rest(), sep="\n    ", flush=True)
-    for line in reach.slow():
+    for line in reach.slow() if placed else ():
         print(line, flush=True)
     with progress("measuring", "reaches") as advance:
         measured = {name: values.tolist() for name, values in reach.measure(advance).items()}
-    write_json(measurement_of(path), asdict(replace(measurement, reach=measured)))
-    print(f"{measurement_of(path)}: measured")
+    if placed:
+        write_json(measurement_of(path), asdict(replace(placed[1], reach=measured)))
+        print(f"{measurement_of(path)}: measured")
+    else:
+        arrays = (f"{name}=np.array({values})," for name, values in measured.items())
+        print("reach=Reach(", *arrays, sep="\n    ")
+        print("    forearm_width=forearm.WIDTH,\n)")

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, Protocol
 
 from cadenza.errors import CadenzaWarning, on_one_line
 
@@ -218,12 +218,7 @@ def warnings_in_a_line() -> Iterator[None]:
     show, printed = warnings.showwarning, set[str]()
 
     def print_ours(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
+        message: Warning | str, category: type[Warning], *where: Any, **others: Any
     ) -> None:
         if issubclass(category, CadenzaWarning):
             text = on_one_line(str(message))
@@ -231,7 +226,7 @@ def warnings_in_a_line() -> Iterator[None]:
                 print(text, file=sys.stderr)
             printed.add(text)
         else:
-            show(message, category, filename, lineno, file, line)
+            show(message, category, *where, **others)
 
     with warnings.catch_warnings():
         # Python's own "once" forgets what it has shown whenever filters change.

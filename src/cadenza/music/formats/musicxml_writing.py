@@ -192,9 +192,8 @@ class _Writer:
                 note.set("dynamics", f"{100 * each[0].velocity / FORTE:.2f}")
                 _pitch(note, each[1])
             self._duration(note, symbol.value.end - symbol.value.start)
-            for kind, is_there in (("stop", symbol.tied), ("start", symbol.ties)):
-                if is_there:
-                    SubElement(note, "tie", type=kind)
+            for kind in _ties(symbol):
+                SubElement(note, "tie", type=kind)
             _text(note, "voice", voice.name)
             _text(note, "type", symbol.value.name)
             for _ in range(symbol.value.dots):
@@ -295,15 +294,17 @@ def _pitch(note: Element, name: Spelling) -> None:
     _text(pitch, "octave", name.octave)
 
 
+def _ties(symbol: Symbol) -> list[str]:
+    return ["stop"] * symbol.tied + ["start"] * symbol.ties
+
+
 def _notations(symbol: Symbol, note: Note | None, is_first: bool) -> Element:
     notations = Element("notations")
-    for kind, is_there in (("stop", symbol.tied), ("start", symbol.ties)):
-        if is_there and note is not None:
-            SubElement(notations, "tied", type=kind)
-    if is_first and symbol.value.opens:
-        SubElement(notations, "tuplet", type="start", number="1")
-    if is_first and symbol.value.closes:
-        SubElement(notations, "tuplet", type="stop", number="1")
+    for kind in _ties(symbol) if note is not None else ():
+        SubElement(notations, "tied", type=kind)
+    for kind, is_there in (("start", symbol.value.opens), ("stop", symbol.value.closes)):
+        if is_first and is_there:
+            SubElement(notations, "tuplet", type=kind, number="1")
     if note is not None and note.finger is not None and not symbol.tied:
         placement = "above" if note.finger.hand == RIGHT else "below"
         technical = SubElement(notations, "technical")
