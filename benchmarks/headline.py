@@ -22,8 +22,7 @@ from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.caveats import usable
 from cadenza.evaluation.results import BenchResults, Result, read_results
 from cadenza.evaluation.summary import run_metrics, summarize
-from cadenza.evaluation.summary_page import write_figure
-from cadenza.evaluation.tables import write_csv
+from cadenza.evaluation.summary_page import write_csv, write_figure
 from cadenza.files import content_of
 
 _ABOUT = ("title", "composer", "opus", "licence", "source")

@@ -17,7 +17,7 @@ from cadenza.errors import CadenzaError, in_a_line, shortened
 from cadenza.evaluation.benchmark.entry import ENTRY, read_entry
 from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.statistics import bootstrap_interval, mean
-from cadenza.evaluation.tables import write_csv
+from cadenza.evaluation.summary_page import write_csv
 from cadenza.files import write_atomically
 from cadenza.music.score import MS_PER_SECOND
 
