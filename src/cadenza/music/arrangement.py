@@ -6,14 +6,14 @@ The command line shows the options, so that nothing heavy is imported.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal
 
-from cadenza.configs import as_config, whole_number
+from cadenza.configs import as_config, check_ranges, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.fingers import SIDES
-from cadenza.music.expression_rules import ExpressionRules, check_quantities
+from cadenza.music.expression_rules import MAX_QUANTITY, ExpressionRules
 from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Score, check_beginning, check_length
 
@@ -51,7 +51,10 @@ class Arrangement:
             whole_number(self.level, "level", EASIEST, HARDEST)
             if self.arrange == "off":
                 raise CadenzaError("as written, a song has no level: leave out arrange or level")
-        check_quantities(self.expression, self.rules)
+        if not 0 <= self.expression <= MAX_QUANTITY:
+            raise CadenzaError(f"expression {self.expression}: choose 0 to {MAX_QUANTITY}")
+        quantities = {each.name: (0, MAX_QUANTITY) for each in fields(self.rules)}
+        check_ranges(self.rules, quantities, "rules.")
         if self.rules != ExpressionRules() and not self.expression:
             raise CadenzaError("rules change nothing without expression: give --expression 1, too")
         if self.first_seconds is not None:

@@ -1,9 +1,8 @@
 """The quantities of the rules of expression. Imports nothing heavy: the command line shows them."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from cadenza.configs import check_ranges, in_short
-from cadenza.errors import CadenzaError
+from cadenza.configs import in_short
 
 MAX_QUANTITY = 10  # the most of a rule, and of the dose of all; 5 is a caricature already
 
@@ -36,10 +35,3 @@ class ExpressionRules:
     """The first of two short notes in a beat becomes longer."""
 
     __repr__ = in_short
-
-
-def check_quantities(dose: float, rules: ExpressionRules) -> None:
-    """Check the dose of all rules and the quantity of each; raises CadenzaError if out of range."""
-    if not 0 <= dose <= MAX_QUANTITY:
-        raise CadenzaError(f"expression {dose}: choose 0 to {MAX_QUANTITY}")
-    check_ranges(rules, {each.name: (0, MAX_QUANTITY) for each in fields(rules)}, "rules.")
