@@ -44,7 +44,8 @@ def run(command: StudioCommand) -> None:
     jobs = min(available_cores(), _MAX_PLAYERS) if command.jobs is None else command.jobs
     jobs = whole_number(jobs, "--jobs", 1, 64)
     check_writable(command.folder, "--folder", 0o700)  # it holds the address
-    need_server()
+    if any(find_spec(name) is None for name in ("starlette", "uvicorn", "websockets")):
+        raise CadenzaError(f"pages need a web server: {install_line('studio')}")
     from cadenza.studio.page_server import announce, serve
     from cadenza.studio.server import Studio
 
@@ -53,9 +54,3 @@ def run(command: StudioCommand) -> None:
         folder = studio.storage.folder
         ready = partial(announce, browser=command.browser, folder=folder)
         serve(studio.app, command.host, port, ready, folder / "address.json")
-
-
-def need_server() -> None:
-    """Raise a CadenzaError if the packages that serve pages are not installed."""
-    if any(find_spec(name) is None for name in ("starlette", "uvicorn", "websockets")):
-        raise CadenzaError(f"pages need a web server: {install_line('studio')}")

@@ -126,11 +126,11 @@ def warm_up() -> None:
 
 def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performance, StateStream]:
     """Play a song and send each step, calling `check` now and then; return what was sent too."""
-    reporter = ProgressReporter(send)
+    report = progress_reporter(send)
 
     def prepare(stage: str, done: int, total: int) -> None:
         check()
-        reporter.report(stage, done, total)
+        report(stage, done, total)
 
     with _practised_setup(order) or set_up_order(order, prepare) as setup:
         states = StateStream(setup, send)
@@ -200,7 +200,7 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
 
     The folder appears when all of it is there.
     """
-    root, reporter = Path(order.folder), ProgressReporter(send, "writing")
+    root = Path(order.folder)
     folder = unfinished_folder(root, order.id)
     about = KeptPerformance(
         title=order.title,
@@ -211,7 +211,7 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
         remarks=performance.remarks,
     )
     try:
-        performance.save(folder, reporter.report)
+        performance.save(folder, progress_reporter(send, "writing"))
         (folder / HEADER_FILE).write_bytes(json_message(**states.header).content)
         (folder / ROWS_FILE).write_bytes(states.rows)
         write_json(folder / ABOUT, asdict(about))
@@ -221,20 +221,18 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
     send(json_message(state="kept"))
 
 
-class ProgressReporter:
-    """A sender of how far a stage is, not too often."""
+def progress_reporter(send: Send, state: str = "preparing") -> Progress:
+    """Return what sends how far a stage is, unless the last report on it is recent."""
+    last_stage, last_time = "", 0.0
 
-    def __init__(self, send: Send, state: str = "preparing") -> None:
-        self._send, self._state = send, state
-        self._last_stage, self._last_time = "", 0.0
-
-    def report(self, stage: str, done: int, total: int) -> None:
-        """Send the progress of a stage, unless the last report on it is recent."""
+    def report(stage: str, done: int, total: int) -> None:
+        nonlocal last_stage, last_time
         now = time.monotonic()
-        if stage == self._last_stage and now - self._last_time < _REPORT_INTERVAL:
-            return
-        self._last_stage, self._last_time = stage, now
-        self._send(json_message(state=self._state, stage=stage, done=done, total=total))
+        if stage != last_stage or now - last_time >= _REPORT_INTERVAL:
+            last_stage, last_time = stage, now
+            send(json_message(state=state, stage=stage, done=done, total=total))
+
+    return report
 
 
 if __name__ == "__main__":

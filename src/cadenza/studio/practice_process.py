@@ -19,10 +19,10 @@ from cadenza.resumable import RateLimited
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import Send, WireMessage, json_message
 from cadenza.studio.player import (
-    ProgressReporter,
     error_text,
     messages_of,
     practice_folder_of,
+    progress_reporter,
     set_up_order,
 )
 from cadenza.studio.request import Order
@@ -51,7 +51,7 @@ def main() -> None:
 
 def practise(order: Order, send: Send) -> None:
     """Practise, and save what is played better."""
-    folder, report = practice_folder_of(order), ProgressReporter(send).report
+    folder, report = practice_folder_of(order), progress_reporter(send)
     kept = practice_folder(folder)
     with kept.claimed() as ours, set_up_order(order, report) as setup:
         if not ours:
