@@ -54,13 +54,10 @@ def progress(
     if QUIET.get():
         yield _mute
     elif sys.stderr.isatty():
-        bar = _Bar(doing, unit)
-        try:
+        with _bar(doing, unit) as bar:
             yield bar
-        finally:
-            bar.close()
     else:
-        yield _Lines(doing, unit, seconds_between_lines)
+        yield _lines(doing, unit, seconds_between_lines)
 
 
 @contextmanager
@@ -107,54 +104,49 @@ def _mute(done: int, total: int, remark: str = "") -> None:
     pass
 
 
-class _Bar:
-    def __init__(self, doing: str, unit: str) -> None:
-        self._doing, self._unit = doing, unit
-        self._bar: tqdm | None = None
+@contextmanager
+def _bar(doing: str, unit: str) -> Iterator[Advance]:
+    from tqdm import tqdm
 
-    def __call__(self, done: int, total: int, remark: str = "") -> None:
+    bar: tqdm | None = None
+    with ExitStack() as shown:
+
+        def show(done: int, total: int, remark: str = "") -> None:
+            nonlocal bar
+            if bar is None:
+                smoothing = 0  # the mean rate since the first call
+                how: dict[str, Any] = {"delay": 1.0, "leave": False, "smoothing": smoothing}
+                bar = tqdm(desc=doing, unit=f" {unit}", total=total, initial=done, **how)
+                shown.callback(bar.close)
+            bar.total = total
+            bar.set_postfix_str(remark, refresh=bool(remark) and done == bar.n)
+            bar.update(done - bar.n)
+
+        yield show
+
+
+def _lines(doing: str, unit: str, seconds_between: float) -> Advance:
+    began: tuple[float, int] | None = None  # when, and what was done by then
+    last = 0.0
+
+    def show(done: int, total: int, remark: str = "") -> None:
         from tqdm import tqdm
 
-        if self._bar is None:
-            self._bar = tqdm(
-                desc=self._doing,
-                unit=f" {self._unit}",
-                total=total,
-                initial=done,
-                delay=1.0,
-                leave=False,
-                smoothing=0,  # the mean rate since the first call
-            )
-        self._bar.total = total
-        self._bar.set_postfix_str(remark, refresh=bool(remark) and done == self._bar.n)
-        self._bar.update(done - self._bar.n)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-
-class _Lines:
-    def __init__(self, doing: str, unit: str, seconds_between: float) -> None:
-        self._doing, self._unit, self._between = doing, unit, seconds_between
-        self._began: tuple[float, int] | None = None  # when, and what was done by then
-        self._last = 0.0
-
-    def __call__(self, done: int, total: int, remark: str = "") -> None:
-        from tqdm import tqdm
-
+        nonlocal began, last
         now = time.monotonic()
-        if self._began is None:
-            self._began, self._last = (now, done), now
-        if now - self._last < self._between:
+        if began is None:
+            began, last = (now, done), now
+        if now - last < seconds_between:
             return
-        self._last = now
-        started, already = self._began
-        line = f"{self._doing}: {done} of {total} {self._unit}"
+        last = now
+        started, already = began
+        line = f"{doing}: {done} of {total} {unit}"
         if already < done < total:
             left = (total - done) * (now - started) / (done - already)
             line += f", {tqdm.format_interval(left)} left"
         print(line + (f", {remark}" if remark else ""), file=sys.stderr, flush=True)
+
+    return show
 
 
 def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
