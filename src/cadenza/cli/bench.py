@@ -1,7 +1,4 @@
-"""`cadenza bench` and `cadenza results`: many agents play many songs, and what comes of it.
-
-Runs can be stopped and resumed.
-"""
+"""`cadenza bench`: many agents play many songs, in runs that can be stopped and resumed."""
 
 from __future__ import annotations
 
@@ -11,14 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-import tyro
-
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, is_folder
 from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.options import TRAIN, Options, Read, split_agents
-from cadenza.cli.progress import in_columns
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
-from cadenza.cli.saving import check_name, check_writable
 from cadenza.configs import MAX_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning, counted, quoted
 from cadenza.learning.config import preset
@@ -26,7 +19,6 @@ from cadenza.learning.learner import Preset
 
 if TYPE_CHECKING:
     from cadenza.evaluation.jobs import BenchJob, Contender
-    from cadenza.evaluation.summary import BenchSummary
 
 _MAX_SEEDS = 10_000  # of one range, so that a typo ends at once
 _MAX_RUNS = 20_000  # which take days
@@ -202,57 +194,3 @@ def _result(folder: Path, _: BenchJob) -> str:
     result = read_result(folder)
     f1, onsets = (result.metrics.get(name) for name in ("f1", "note_onset_f1"))
     return f"F1 {f1:.3f}, note onsets F1 {onsets:.3f}, {result.timing.wall_seconds:.0f} s"
-
-
-@dataclass(frozen=True)
-class Results:
-    """Sum up the runs of "cadenza bench": a page, tables and a figure.
-
-    Example: cadenza results bench
-    """
-
-    bench: tyro.conf.Positional[Path]
-    """Folder of a bench."""
-    output: Output[Path | None] = None
-    """Folder for index.html and the tables; BENCH/results by default."""
-    figure: Path | None = None
-    """Draw the bar chart of all pieces, an .svg file, too."""
-    quiet: Quiet = False
-
-
-def results(command: Results) -> None:
-    from cadenza.evaluation.results import read_results
-    from cadenza.evaluation.summary import summarize
-    from cadenza.evaluation.summary_page import summary_page, write_figure, write_tables
-    from cadenza.report.html_pages import write_page
-
-    folder = command.output or command.bench / "results"
-    if command.figure:
-        check_name(command.figure, ".svg", "the figure is an .svg picture")
-    summary = summarize(read_results(command.bench), command.bench.resolve().name)
-    check_writable(folder)
-    tables = write_tables(folder, summary)
-    index = folder / "index.html"
-    write_page(index, summary_page(summary, folder, tables))
-    if command.figure:
-        write_figure(command.figure, summary)
-    print(in_text(summary))
-    for caveat, _ in summary.caveats:
-        print(caveat)
-    print(f"\nOpen {index}")
-
-
-def in_text(summary: BenchSummary) -> str:
-    """Return the table of agents for a terminal: means."""
-    from cadenza.evaluation.summary import HEADLINES, METRICS, interval_text, metric_text
-
-    titles = [METRICS[name].title for name in HEADLINES]
-    rows = [["", "pieces", "runs", titles[0], "95 % interval", *titles[1:]]]
-    for group in summary.groups:
-        if len(summary.groups) > 1:
-            rows.append([group.name, *[""] * (len(rows[0]) - 1)])
-        for agent, own in group.agents.items():
-            first, *others = (metric_text(name, own.mean[name].value) for name in HEADLINES)
-            interval = interval_text(HEADLINES[0], own.mean[HEADLINES[0]])
-            rows.append([agent, str(own.pieces), str(own.runs), first, interval, *others])
-    return in_columns(rows)

@@ -1,36 +1,25 @@
-"""`cadenza play` and `plan`, with which the hands play a song, and `film`, which films it."""
+"""`cadenza play`: the hands play a song, and leave a folder of results."""
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cadenza.agents.registry import PLANNER, PLAYBACK, PRACTISED
 from cadenza.cli.arguments import Output, Quiet, SoundFont, Verbose
-from cadenza.cli.options import AGENTS_HELP, SONG, Options, Read, setting_up
+from cadenza.cli.options import AGENTS_HELP, Options, Read, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages, stop_on_signal
 from cadenza.cli.saving import (
     agent_folder,
-    check_name,
-    check_sheet,
     check_writable,
-    default_folder,
-    print_verdict,
     save,
-    write_sheet,
 )
-from cadenza.files import TENSORS
-from cadenza.music.arrangement import Arrangement
-from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
     from cadenza.performing.setup import Setup
@@ -106,110 +95,3 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
             practising = kept.enter_context(practised(setup, folder, effort, stop=stop))
             stopped = stop()
         yield practising.best(), stopped
-
-
-@dataclass(frozen=True)
-class Film:
-    """Make a film of a folder that "cadenza play" wrote, or the sound alone.
-
-    Example: cadenza film played/OdeToJoy/planner --size 1080 1920 --seconds 20
-
-    The film is the page of the performance, drawn by Chrome, Chromium or Edge: 60 pictures a
-    second with a graphics card, 30 without, each of which then takes half a second of a core.
-    """
-
-    folder: tyro.conf.Positional[Path]
-    """The folder of a performance."""
-    output: Output[Path | None] = None
-    """The file; its ending says what it is: .mp4 a film, .wav, .flac or .mp3 the sound alone.
-    video.mp4 in the folder by default."""
-    start: float = 0.0
-    """Where in the performance the film begins [s]."""
-    seconds: float | None = None
-    """Length; to the end by default."""
-    size: tuple[int, int] = (1920, 1080)
-    """Width and height [px], up to 2160."""
-    camera: str = "player"
-    """player, close, top, audience or side."""
-    score: bool = False
-    """Show the score below the hands."""
-    sound_font: SoundFont = None
-    quiet: Quiet = False
-
-
-def make_film(command: Film) -> None:
-    from cadenza.cli.saving import film
-    from cadenza.performing.filming import Look
-    from cadenza.report.sound import voice_of
-
-    look = Look(*command.size, command.camera, command.score, command.start, command.seconds)
-    film(command.folder, voice_of(command.sound_font), command.output, look)
-
-
-@dataclass(frozen=True)
-class PlanCommand(Options):
-    """Plan a song, and write the actions and the fingering to files.
-
-    Example: cadenza plan OdeToJoy -o joy.safetensors
-    """
-
-    song: Annotated[tyro.conf.Positional[str], SONG] = field(kw_only=True)
-    output: Output[Path | None] = None
-    """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
-    written beside it as text, to a file that ends in .safetensors.fingering."""
-    score: Path | None = None
-    """Write the song with the planned fingers as sheet music, too: a .pdf to print, a .musicxml
-    file to edit, an .svg picture or a .mid file."""
-    seed: int = 0
-    """Random seed."""
-    verbose: Verbose = False
-    quiet: Quiet = False
-
-
-def plan(command: PlanCommand, _: Read[PlanCommand]) -> None:
-    from cadenza.performing.performance import perform
-    from cadenza.performing.planning import fingering_of, plan_of
-    from cadenza.performing.setup import find_player
-
-    if command.output is not None:
-        check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")
-    if command.score is not None:
-        check_sheet(command.score, "--score")
-    player = find_player(PLANNER, configs=command.configs)
-    with setting_up(command, command.song, player, command.seed) as setup:
-        path = command.output or default_folder(setup) / PRACTISED
-        check_writable(path.parent)
-        with stages("planning") as progress:
-            planned = plan_of(setup, perform(setup, progress))
-    planned.save(path)
-    print_verdict(planned.performance, command.verbose)
-    if command.score is not None:
-        write_sheet(planned.score_played, command.score)
-    print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
-    print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
-
-
-def _to_replay(command: PlanCommand, path: Path) -> list[str]:
-    """Return the options with which "cadenza play" replays what `command` has planned."""
-    from cadenza.configs import flat
-
-    flags = ["--agent", PLAYBACK, "--plan", str(path)]
-    for options, default in (
-        (command.task, TaskConfig()),
-        (command.scene, SceneConfig()),
-        (command.arrangement, Arrangement()),
-    ):
-        usual = dict(flat(asdict(default)))
-        for name, value in flat(asdict(options)):
-            if value != usual[name]:
-                flags += _as_option(name, value)
-    return [*flags, *(["--seed", str(command.seed)] if command.seed else [])]
-
-
-def _as_option(name: str, value: Any) -> list[str]:
-    """Return the words that give an option this value on a command line."""
-    option = name.replace("_", "-")
-    if isinstance(value, bool):
-        return [f"--{'' if value else 'no-'}{option}"]
-    values = value if isinstance(value, tuple) else (value,)
-    return [f"--{option}", *map(str, values)]

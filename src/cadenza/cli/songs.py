@@ -1,22 +1,15 @@
-"""`cadenza songs`, `libraries`, `import` and `etude`: what there is to play, and more of it."""
+"""`cadenza songs` and `cadenza libraries`: what there is to play."""
 
 from __future__ import annotations
 
 import warnings
 from collections import Counter
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.info import usual_players
-from cadenza.cli.progress import progress
-from cadenza.cli.saving import check_name, check_writable
 from cadenza.errors import CadenzaError, CadenzaWarning, counted
-from cadenza.music.etudes import DRILLS, KINDS
 
 if TYPE_CHECKING:
     from cadenza.music.libraries.songs import Library, Song
@@ -110,99 +103,3 @@ _KEYS: dict[Sort, Any] = {
     "length": lambda song: _last_if_unknown(song.seconds),
     "difficulty": lambda song: _last_if_unknown(song.difficulty),
 }
-
-
-@dataclass(frozen=True)
-class Import:
-    """Make a song library of a folder of music, or of the PIG dataset.
-
-    Examples: cadenza import midi FOLDER; cadenza import pig PianoFingeringDataset.zip
-    """
-
-    kind: Annotated[
-        tyro.conf.Positional[Literal["midi", "pig"]], tyro.conf.arg(metavar="{midi,pig}")
-    ]
-    """midi: a folder of MIDI or MusicXML files, with an index.csv if you like. pig: the PIG
-    fingering dataset, for the libraries repertoire-150 and etude-12."""
-    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
-    """Where the files are. For the PIG dataset, it may also be the ZIP file."""
-    name: str | None = None
-    """Name of the new library, for midi; that of the folder by default."""
-    replace: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Replace a library of the same name."""
-    quiet: Quiet = False
-
-
-def import_songs(command: Import) -> None:
-    from cadenza.fingering.difficulty import grade
-    from cadenza.music.libraries.folder import import_folder
-    from cadenza.music.libraries.library import check_is_free, open_library
-    from cadenza.music.libraries.pig import TWELVE, etudes_among, import_pig
-
-    source, again = command.source, command.replace
-    if command.kind == "pig" and command.name is not None:
-        raise CadenzaError("--name: the PIG dataset has a name; leave it out")
-    graded = partial(grade, players=usual_players())
-    with progress("importing", "files") as advance:
-        if command.kind == "pig":
-            library = import_pig(source, again, advance, graded)
-        else:
-            name = command.name or source.resolve().name
-            check_is_free(name)
-            library = import_folder(source, name, again, advance, graded)
-    for message in (*library.doubtful, *library.left_out):
-        warnings.warn(message, CadenzaWarning, stacklevel=1)
-    kept, lost = len(library.rows), len(library.left_out)
-    print(f"{counted(kept, 'song')}; to list them: cadenza songs {library.name}")
-    if command.kind == "pig":
-        print(f"{len(etudes_among(open_library(library.name).songs))} of them are in {TWELVE}")
-    if lost:
-        raise CadenzaError(
-            f"{library.name}: {lost} of {kept + lost} could not be read and were left out"
-        )
-
-
-_USUAL_DIFFICULTY = 3
-
-
-@dataclass(frozen=True)
-class Etude:
-    """Write a practice piece to a MIDI file, a different one for every seed.
-
-    Example: cadenza etude --kind arpeggios --difficulty 3 --seed 7 -o etude.mid
-    """
-
-    kind: Annotated[
-        str | None,
-        tyro.conf.arg(
-            help=f"Kind of piece, by default drawn from {', '.join(KINDS)}. For one hand there are "
-            f"also {', '.join(DRILLS)}."
-        ),
-    ] = None
-    difficulty: int | None = None
-    """The difficulty from 1 to 10, 3 by default; for one hand, the number of notes or chords."""
-    seed: int | None = None
-    """Random seed. By default one is drawn and printed."""
-    output: Output[Path | None] = None
-    """The file, KIND-DIFFICULTY-SEED.mid by default."""
-
-
-def etude(command: Etude) -> None:
-    import numpy as np
-
-    from cadenza.configs import MAX_SEED, whole_number
-    from cadenza.music.etudes.library import etude_name, make_etude
-    from cadenza.music.formats.midi import write_midi
-
-    if command.output is not None:
-        check_name(command.output, ".mid", "an etude is a .mid file")
-    seed = int(np.random.default_rng().integers(2**31)) if command.seed is None else command.seed
-    rng = np.random.default_rng(whole_number(seed, "seed", 0, MAX_SEED))
-    kind = KINDS[int(rng.integers(len(KINDS)))] if command.kind is None else command.kind
-    difficulty = _USUAL_DIFFICULTY if command.difficulty is None else command.difficulty
-    score = make_etude(kind, difficulty, seed)
-    path = command.output or Path(f"{kind}-{difficulty}-{seed}.mid")
-    check_writable(path.parent)
-    write_midi(score, path)
-    print(f"{path}: {score.title} ({score.total_time:.1f} s, {len(score.notes)} notes)")
-    print(f"The same without a file: cadenza play {etude_name(kind, difficulty, seed)}")
