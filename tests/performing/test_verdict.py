@@ -11,7 +11,8 @@ from cadenza.agents.planner.misses import Miss
 from cadenza.agents.planner.planner import Planner
 from cadenza.music.metrics import expressive_metrics
 from cadenza.music.score import Note, Score
-from cadenza.performing.performance import Advice, advice, play, verdict
+from cadenza.performing.performance import play
+from cadenza.performing.verdict import Advice, advice, verdict
 
 EARLY = ["finger needed elsewhere"] * 30
 

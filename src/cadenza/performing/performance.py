@@ -1,11 +1,11 @@
-"""A performance of a song by an agent, the files that it leaves, and how good it was, in words."""
+"""A performance of a song by an agent, and the files that it leaves."""
 
 import html
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,15 +14,15 @@ from cadenza.agents.planner.misses import Miss, misses_of
 from cadenza.agents.rollout import play_episode
 from cadenza.arranging.fidelity import Fate
 from cadenza.episode import KEY_EVENTS, Episode
-from cadenza.errors import CadenzaError, counted
+from cadenza.errors import CadenzaError
 from cadenza.files import content_of, plain, read_json, write_json
 from cadenza.fingers import NO_FINGER, SIDES, Side, finger_number
-from cadenza.music.arrangement import HARDEST, SomeSong
+from cadenza.music.arrangement import SomeSong
 from cadenza.music.formats.midi_sheet import write_midi_sheet
-from cadenza.music.metrics import ONSET_TOLERANCE, note_errors
 from cadenza.music.performance import key_runs, played_in
-from cadenza.music.score import MS_PER_SECOND, Score
+from cadenza.music.score import Score
 from cadenza.performing.setup import Setup, SomeAgent, find_player, set_up
+from cadenza.performing.verdict import Advice, advice, verdict
 from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import encode_opus, synthesize
@@ -34,85 +34,6 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.reward import key_activation
 from cadenza.tasks.setups import NamedSetup, setup_named
-
-_AUDIBLE = 0.02  # [s], a delay or unevenness that is heard
-_STEP = 16  # MIDI velocities between two dynamics such as mp and mf
-_BAD = 0.9  # F1 below which a song is lost in part: the mean of whole pieces is 0.92
-_MANY = 0.1  # the same, of the share of notes that were missed
-_OUT_OF_REACH = ("no finger", "out of reach")  # causes against which more time does not help
-_SLOWER = 1.5  # times as long
-
-
-class Advice(NamedTuple):
-    """What to try, in words, and as an option of a command."""
-
-    words: str
-    option: str
-
-    def __str__(self) -> str:
-        return f"{self.words} ({self.option})"
-
-
-def verdict(played: Score, written: Score, metrics: Mapping[str, Any]) -> str:
-    """How well a song was played, as a sentence with its figures, see `expressive_metrics`.
-
-    Notes of one key that begin within 50 ms of each other are in time; others are early or late if
-    they begin within 0.2 s. `written` is what was to be played, on the same clock, as far as it
-    was.
-    """
-    errors, notes = note_errors(written.notes, played.notes), counted(len(written.notes), "note")
-    off_time, missed, extra = errors.missed.off_time, errors.missed, errors.extra
-    every = len(errors.pairs) == len(written.notes) > 1
-    share = "All" if every else f"{len(errors.pairs)} of"
-    parts = [f"{share} {notes} in time (within {_ms(ONSET_TOLERANCE)})"]
-    if off_time:
-        parts += [f"{len(off_time)} early or late"]
-    if num_missed := len(missed.held) + len(missed.silent):
-        parts += [f"{num_missed} missed"]
-    if num_extra := len(extra.again) + len(extra.neighbour) + len(extra.other):
-        parts += [f"{counted(num_extra, 'note')} that nobody wrote"]
-    return f"{', '.join([*parts, *_expression(metrics)])}."
-
-
-def _expression(metrics: Mapping[str, Any]) -> list[str]:
-    """Timing and loudness of the notes that were found; nothing if there are none."""
-    delay, unevenness = metrics["onset_delay"], metrics["onset_error_median"]
-    loudness = metrics["velocity_error"]
-    if delay is None or unevenness is None or loudness is None:
-        return []
-    even = f"evenly timed to {_ms(unevenness)}"
-    parts = [even if unevenness < _AUDIBLE else f"timing {_ms(unevenness)} uneven"]
-    if abs(delay) >= _AUDIBLE:
-        parts += [f"{_ms(abs(delay))} {'late' if delay > 0 else 'early'} throughout"]
-    if loudness < _STEP / 2:
-        return [*parts, "loudness as written"]
-    far = "half a step" if loudness < _STEP else "a step or more"
-    return [*parts, f"loudness {far} off what is written (mp to mf is a step)"]
-
-
-def _ms(seconds: float) -> str:
-    return f"{seconds * MS_PER_SECOND:.0f} ms"
-
-
-def advice(
-    misses: Sequence[Miss], num_notes: int, f1: float, settings: dict[str, Any], arranged: bool
-) -> Advice | None:
-    """What to try; None where a song of `num_notes` notes was played well enough.
-
-    `settings` are those of the performance, `arranged` whether the song was for the hands.
-    """
-    missed = [miss.cause for miss in misses if not miss.sounded]
-    if not misses or (f1 >= _BAD and len(missed) <= _MANY * num_notes):
-        return None
-    if arranged or 2 * sum(cause in _OUT_OF_REACH for cause in missed) <= len(missed):
-        stretch = _SLOWER * settings["task"]["stretch"]
-        words = "Most was lost for want of time: try a slower tempo"
-        return Advice(words, f"--stretch {stretch:g}")
-    if settings["scene"]["hands"] in SIDES:
-        return Advice("Most was lost for want of a hand: try both", "--hands both")
-    words = "Most was lost because it is out of reach: try it arranged for the hands"
-    return Advice(words, f"--level {HARDEST}")
-
 
 _REPLACED = (
     *("metrics.json", "episode.npz", *(f"episode-{side}.npz" for side in SIDES), "misses.json"),
