@@ -15,6 +15,7 @@ from cadenza.learning.ranges import ranges_of
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
+from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.setups import setup_named
@@ -29,9 +30,10 @@ def slides(task: PianoTask) -> list[int]:
 
 
 def above(task: PianoTask, forearm: float, finger: int, pitch: int) -> float:
-    """Returns how far right of a key a finger of the right hand is [m], by MuJoCo."""
-    model = task.scene.model
+    """Returns how far right of a key a finger of the right hand at rest is [m], by MuJoCo."""
+    model, servos = task.scene.model, servos_of(task.scene)
     data = mujoco.MjData(model)
+    data.qpos[task.scene.hand_qpos] = np.array([use.rest for use in servos.uses]) @ servos.joints
     joint = model.joint("rh_forearm_tx")
     data.qpos[joint.qposadr[0]] = forearm
     mujoco.mj_kinematics(model, data)
@@ -77,18 +79,28 @@ def test_every_key_may_come_where_songs_are_moved(option):
 
 
 @pytest.mark.parametrize("hands", ["right", "both"])
-def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands):
+def test_fingers_and_wrists_stay_near_their_rest(hands):
+    """Whatever the music: only forearms along the keyboard depend on it."""
     scene = SceneConfig(hands=hands, forearm_dofs=("tx", "ty"))  # type: ignore[arg-type]
     task = PianoTask([SONG], scene=scene)
-    ranges = ranges_of(task)
-    others = np.setdiff1d(np.arange(task.spec.action_size), slides(task))
-    assert_array_equal(ranges.actions[0, others], task.spec.action_low[others])
-    assert_array_equal(ranges.actions[1, others], task.spec.action_high[others])
-    joints = [task.scene.model.joint(name).range for name in task.scene.hand_joint_names]
-    moved = np.flatnonzero((joints != ranges.joints.T).any(axis=1))
-    names = [task.scene.hand_joint_names[j] for j in moved]
-    assert names == ["rh_forearm_tx", "lh_forearm_tx"][: len(names)]
-    assert len(names) == len(slides(task))
+    low, high = ranges_of(task).actions
+    for a, name in enumerate(task.scene.actuator_names):
+        servo = task.scene.hand.servo(name.rpartition("_A_")[2])
+        if a not in slides(task):
+            near = servo.rest - servo.travel, servo.rest + servo.travel
+            bounds = task.spec.action_low[a], task.spec.action_high[a]
+            assert_allclose((low[a], high[a]), np.clip(near, *bounds))
+            assert low[a] < servo.rest < high[a]
+    assert (high - low < task.spec.action_high - task.spec.action_low)[slides(task)].all()
+
+
+def test_joints_of_a_tendon_share_its_range():
+    """Of a finger's last two joints each turns by half of what their tendon is pulled."""
+    task = PianoTask([SONG])
+    ranges, names = ranges_of(task), task.scene.hand_joint_names
+    tendon = ranges.actions[:, task.scene.actuator_names.index("rh_A_FFJ0")]
+    for joint in ("rh_FFJ1", "rh_FFJ2"):
+        assert_allclose(ranges.joints[:, names.index(joint)], tendon / 2)
 
 
 @pytest.mark.parametrize("drill", ["notes-6-0", "notes-6-2", "dyads-3-1"])

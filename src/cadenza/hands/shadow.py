@@ -244,9 +244,9 @@ def _servos(name: str, spread: float, knuckle: float, tip: float) -> dict[str, S
     """Servos of a finger with coupled last joints, which rests just over a white key."""
     finger, joint = _NAMES.index(name), name.upper()
     return {
-        f"{joint}J4": Servo(spread, finger=finger),
-        f"{joint}J3": Servo(knuckle, lift=-0.5, finger=finger),
-        f"{joint}J0": Servo(tip, 0.8, 320.0, noise=0.12, finger=finger),
+        f"{joint}J4": Servo(spread, travel=0.2, finger=finger),
+        f"{joint}J3": Servo(knuckle, travel=0.4, lift=-0.5, finger=finger),
+        f"{joint}J0": Servo(tip, 0.8, 320.0, noise=0.12, travel=0.5, finger=finger),
     }
 
 
@@ -257,12 +257,12 @@ def _stiff(finger: int) -> Servo:
 
 _TH, _LF = 0, 4  # indices of fingers
 _SERVOS = {
-    "WRJ2": Servo(0.0, 0.3, 40.0, noise=0.03, correction=0.1),
-    "WRJ1": Servo(-0.05, 0.3, 40.0, noise=0.03, correction=0.1, lift=-0.35),
+    "WRJ2": Servo(0.0, 0.3, 40.0, noise=0.03, travel=0.15, correction=0.1),
+    "WRJ1": Servo(-0.05, 0.3, 40.0, noise=0.03, travel=0.25, correction=0.1, lift=-0.35),
     "THJ5": _stiff(_TH),
-    "THJ4": Servo(0.72, lift=-0.6, finger=_TH),
-    "THJ3": Servo(0.15, finger=_TH),
-    "THJ2": Servo(0.38, finger=_TH),
+    "THJ4": Servo(0.72, travel=0.4, lift=-0.6, finger=_TH),
+    "THJ3": Servo(0.15, travel=0.2, finger=_TH),
+    "THJ2": Servo(0.38, travel=0.3, finger=_TH),
     "THJ1": _stiff(_TH),
     **_servos("ff", -0.1, 0.75, 1.2),
     **_servos("mf", -0.05, 0.8, 1.2),

@@ -2,7 +2,8 @@
 
 The forearms of the hands slide along 1.2 m of rails, a key is 2 cm wide, and a tune rarely spans
 more than a third of the keyboard. Normalised to the whole keyboard, random actions hardly ever
-land where the song is, and neighbouring keys are hard to tell from each other.
+land where the song is, and neighbouring keys are hard to tell from each other. Fingers and wrists
+that may go anywhere brush keys beside theirs; kept near their rest, they learn in fewer steps.
 """
 
 from typing import NamedTuple

@@ -114,7 +114,6 @@ MINI_ALLEGRO = NamedSetup(
         "gradient_steps": 30,
         "hidden_sizes": (128, 128),
         "initial_temperature": 0.003,
-        "final_learning_rate_fraction": 0.1,
         "actor_ema": 0.001,
     },
 )

@@ -78,6 +78,7 @@ class DroQConfig(LearnerConfig):
             critic_learning_rate=1e-3,
             temperature_learning_rate=1e-3,
             initial_temperature=0.05,
+            final_learning_rate_fraction=0.1,
             discount=0.84,
             actor_ema=0.01,
             batch_size=128,
@@ -90,7 +91,6 @@ class DroQConfig(LearnerConfig):
             critic_learning_rate=3e-4,
             initial_mean=0.0,
             initial_temperature=0.01,
-            final_learning_rate_fraction=0.1,
             batch_size=256,
         )
 
