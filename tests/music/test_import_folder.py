@@ -57,6 +57,7 @@ def test_names_are_safe_and_unique_and_facts_come_along(folder):
     imported = import_folder(folder, "mine")
     assert imported.left_out == []
     library = open_library("mine")
+    assert [song.name for song in open_library("mine/joy").songs] == ["mine/joy"]
     songs = {song.name.removeprefix("mine/"): song for song in library.songs}
     assert sorted(songs) == sorted(
         ["a-01", "b-01", "a-ONE", "a-one-2", "Prélude-nº-1-rm", "joy", "sheet"]

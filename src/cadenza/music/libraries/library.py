@@ -67,9 +67,9 @@ def open_library(spec: str | Path) -> Library:
     index is damaged.
 
     Args:
-        spec: the name of a library, see `libraries`, that of a bundled song or the path of a music
-            file, which is then all of the library, or the path of a folder of MIDI or MusicXML
-            files, which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
+        spec: the name of a library, see `libraries`, that of a song or the path of a music file,
+            which is then all of the library, or the path of a folder of MIDI or MusicXML files,
+            which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
             after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are N
             etudes, drawn from the seed 0 or from that of `etudes:N:SEED`. A folder that has the
             same name as a library wants a path with a separator, such as "./bundled".
@@ -86,7 +86,7 @@ def open_library(spec: str | Path) -> Library:
         library, colon = folder_library(Path(text)), ""
     elif os.path.isdir(path := text.rpartition(":")[0]):
         library, split = folder_library(Path(path)), text[len(path) + 1 :]
-    elif text.lower() in {song.name.lower() for song in songs()} or os.path.isfile(text):
+    elif os.path.isfile(text) or _is_bundled(text) or _is_library(text.partition("/")[0]):
         library, colon = Library(text, (find_song(text),)), ""
     else:
         close = get_close_matches(name, list(libraries()), n=1)
@@ -128,8 +128,7 @@ def find_song(song: str | Path | Song) -> Song:
         return etude_song(name)
     if piece and _is_library(library):
         return song_named(name, _named(library))
-    is_piece = any(each.name.lower() == name.lower() for each in songs())
-    if not is_piece and (os.path.isdir(name) or is_on_hub(name)):
+    if not _is_bundled(name) and (os.path.isdir(name) or is_on_hub(name)):
         raise CadenzaError(
             f"{name}: is no song; give a piece or a music file (what has learnt or practised one "
             f"plays it as --agent {name})"
@@ -151,6 +150,10 @@ def check_is_free(name: str) -> None:
         raise CadenzaError(
             f"there is a library {name} already ({entries[name].about}); choose another --name"
         )
+
+
+def _is_bundled(name: str) -> bool:
+    return any(song.name.lower() == name.lower() for song in songs())
 
 
 def _is_library(name: str) -> bool:
