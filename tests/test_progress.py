@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from cadenza.cli.progress import QUIET, progress, stages
+from cadenza.cli.printing import QUIET, progress, stages
 
 
 class Terminal(io.StringIO):

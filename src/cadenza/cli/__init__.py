@@ -34,7 +34,7 @@ from cadenza.cli import (
 )
 from cadenza.cli.arguments import Chosen, choose, parse, print_commands
 from cadenza.cli.options import Options, reader, with_options_of
-from cadenza.cli.progress import open_closed_streams, quietly, warnings_in_a_line
+from cadenza.cli.printing import open_closed_streams, quietly, warnings_in_a_line
 from cadenza.errors import explained, is_for_users, on_one_line
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.progress import in_columns, progress
+from cadenza.cli.printing import in_columns, progress
 from cadenza.cli.saving import check_writable
 from cadenza.errors import counted
 

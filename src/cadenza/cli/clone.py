@@ -11,7 +11,7 @@ import tyro
 
 from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.options import RecordedParts
-from cadenza.cli.progress import SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stop_on_signal
+from cadenza.cli.printing import SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stop_on_signal
 from cadenza.cli.saving import check_writable
 from cadenza.errors import counted
 from cadenza.learning.config import ImitationConfig

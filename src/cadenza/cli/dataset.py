@@ -11,7 +11,7 @@ import tyro
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, is_folder
 from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.options import Options, Read, RecordedParts
-from cadenza.cli.progress import progress, stages
+from cadenza.cli.printing import progress, stages
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
 from cadenza.cli.saving import check_writable
 from cadenza.configs import check_ranges, whole_number

@@ -12,7 +12,7 @@ import tyro
 from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.clone import train_until_stopped
 from cadenza.cli.options import RecordedParts
-from cadenza.cli.progress import stages
+from cadenza.cli.printing import stages
 from cadenza.cli.saving import check_writable
 from cadenza.errors import extra_packages
 from cadenza.learning.algorithms.generalist.config import (

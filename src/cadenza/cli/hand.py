@@ -22,7 +22,7 @@ def measure(command: MeasureHand) -> None:
     from pathlib import Path
 
     from cadenza.agents.planner.hand_measurement import ReachMeasurement, place
-    from cadenza.cli.progress import progress
+    from cadenza.cli.printing import progress
     from cadenza.files import write_json
     from cadenza.hands.mjcf import TOML, measurement_of
     from cadenza.hands.registry import hand_named

@@ -10,7 +10,7 @@ import tyro
 
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.info import usual_players
-from cadenza.cli.progress import progress
+from cadenza.cli.printing import progress
 from cadenza.errors import CadenzaError, CadenzaWarning, counted
 
 

@@ -10,7 +10,7 @@ import tyro
 
 from cadenza.agents.registry import AGENTS
 from cadenza.cli.arguments import Flat
-from cadenza.cli.progress import in_columns
+from cadenza.cli.printing import in_columns
 from cadenza.errors import CadenzaError, counted
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement

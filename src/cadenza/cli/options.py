@@ -14,7 +14,7 @@ import tyro
 
 from cadenza.agents.registry import PLANNER, PRACTISED, agent_options, is_folder, options_name
 from cadenza.cli.arguments import Chosen, Flat, parse
-from cadenza.cli.progress import stages
+from cadenza.cli.printing import stages
 from cadenza.errors import CadenzaError
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig

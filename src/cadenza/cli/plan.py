@@ -10,7 +10,7 @@ import tyro
 from cadenza.agents.registry import PLANNER, PLAYBACK, PRACTISED
 from cadenza.cli.arguments import Output, Quiet, Verbose
 from cadenza.cli.options import SONG, Options, Read, setting_up
-from cadenza.cli.progress import stages
+from cadenza.cli.printing import stages
 from cadenza.cli.saving import (
     check_name,
     check_sheet,

@@ -14,7 +14,7 @@ import tyro
 from cadenza.cli.arguments import Output, Quiet, SoundFont, Verbose
 from cadenza.cli.options import AGENTS_HELP, Options, Read, setting_up
 from cadenza.cli.practice import practised
-from cadenza.cli.progress import stages, stop_on_signal
+from cadenza.cli.printing import stages, stop_on_signal
 from cadenza.cli.saving import (
     agent_folder,
     check_writable,

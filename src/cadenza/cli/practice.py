@@ -15,7 +15,7 @@ import tyro
 from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Output, Quiet
 from cadenza.cli.options import Options, Read, setting_up
-from cadenza.cli.progress import one_after_other, stages, stop_on_signal
+from cadenza.cli.printing import one_after_other, stages, stop_on_signal
 from cadenza.cli.saving import check_writable, default_folder, save
 from cadenza.errors import CadenzaError, counted
 from cadenza.files import checked, read_json

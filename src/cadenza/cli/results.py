@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from cadenza.cli.arguments import Output, Quiet
-from cadenza.cli.progress import in_columns
+from cadenza.cli.printing import in_columns
 from cadenza.cli.saving import check_name, check_writable
 
 if TYPE_CHECKING:

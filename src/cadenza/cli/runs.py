@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from cadenza.cli.progress import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stop_on_signal
+from cadenza.cli.printing import QUIET, SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stop_on_signal
 from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cadenza.cli.progress import stages
+from cadenza.cli.printing import stages
 from cadenza.errors import CadenzaError, counted
 from cadenza.files import folder_name
 from cadenza.music.formats.reading import SHEET, name_without_ending

@@ -15,7 +15,7 @@ import tyro
 
 from cadenza.cli.arguments import Chosen, Flat, Output, Quiet
 from cadenza.cli.options import SETUP_HELP
-from cadenza.cli.progress import SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stages, stop_on_signal
+from cadenza.cli.printing import SECONDS_BETWEEN_LINES_OF_TRAINING, progress, stages, stop_on_signal
 from cadenza.cli.saving import check_name, check_writable, save
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
