@@ -7,7 +7,7 @@ import pytest
 
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.benchmark import definition, entry, verification
+from cadenza.evaluation.benchmark import definition, deployment, entry
 from cadenza.evaluation.benchmark.definition import DEPLOYMENT, frozen, open_set
 from cadenza.evaluation.benchmark.entry import ENTRY, actions_path, read_entry
 from cadenza.evaluation.benchmark.verification import enter
@@ -23,9 +23,9 @@ ABOUT = {"songs": DEPLOYMENT, "track": DEPLOYMENT, "about": "learnt from nothing
 def short(monkeypatch):
     """One song, one robot, one play before the one that counts."""
     monkeypatch.setattr(definition, "_DEPLOYED", (SONG,))
-    for module in entry, verification:
+    for module in entry, deployment:
         monkeypatch.setattr(module, "ROBOTS", 1)
-    for module in unknown_robot, with_robot, verification:
+    for module in unknown_robot, with_robot, deployment:
         monkeypatch.setattr(module, "PLAYS", 1)
 
 

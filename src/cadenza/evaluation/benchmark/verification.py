@@ -4,7 +4,6 @@ Nothing is taken from an entry but its actions and what they are compared with: 
 scene and the task are those of the benchmark's definition.
 """
 
-import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.playback import Playback, load_plan
-from cadenza.agents.robot.protocol import in_turn, play
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.benchmark.definition import (
     DEPLOYMENT,
     METRICS,
-    ROBOTS,
     SCENE,
     TASK,
     VERSION,
@@ -27,6 +24,7 @@ from cadenza.evaluation.benchmark.definition import (
     open_set,
     set_up_song,
 )
+from cadenza.evaluation.benchmark.deployment import AGENT, played_on_robot, robot_runs
 from cadenza.evaluation.benchmark.entry import (
     ENTRY,
     BenchmarkEntry,
@@ -41,25 +39,19 @@ from cadenza.evaluation.benchmark.entry import (
 from cadenza.evaluation.results import Result, read_results
 from cadenza.evaluation.run import versions
 from cadenza.files import (
-    ANY,
     FLOATS,
     ArrayOf,
     checked,
     new_folder,
-    read_json,
     read_tensors,
     write_json,
     write_tensors,
 )
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.imported import Progress, silent
-from cadenza.music.metrics import expressive_metrics
 from cadenza.performing.setup import Setup
-from cadenza.performing.with_robot import ABOUT, PLAYS_FILE, RobotPlays, simulated
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, task_identity
-from cadenza.tasks.robots import Profile
-from cadenza.tasks.unknown_robot import PLAYS
 
 _HEADER = 4096  # bytes that a file of actions may take beside them
 
@@ -267,46 +259,3 @@ def _run(result: Result, folder: Path, digest: str, low: Any, high: Any) -> Ente
         metrics={n: None if (of := result.metrics.get(n)) is None else float(of) for n in METRICS},
         cpu_seconds=result.timing.cpu_seconds,
     )
-
-
-AGENT = "practice-with-robots"
-_PROFILE: Profile = "realistic"
-_MAX_BYTES = 2**28  # of eleven plays of a song
-
-
-def played_on_robot(actions: NDArray[np.float64], robot: int, setup: Setup) -> Metrics:
-    """The metrics of actions (T, A) in the eleventh play of a robot of this seed."""
-    there = simulated(setup, robot, _PROFILE)
-    for _ in range(PLAYS):
-        there.start()  # what was learnt in these plays shows in the actions
-    play(there, len(actions), in_turn(actions))
-    task = there.env.task
-    metrics = expressive_metrics(task.played(0), task.score(0)) | task.episode_metrics(0)
-    known = {name: metrics[name] for name in METRICS}
-    return {n: None if v is None or math.isnan(v) else float(v) for n, v in known.items()}
-
-
-def robot_runs(bench: Path, entry: Path, digest: str, setup: Setup) -> list[EnteredRun]:
-    """Write the actions of the last play of a song on each robot, from the folders in `bench`.
-
-    Raises CadenzaError if a robot is missing, or does not play as it was recorded.
-    """
-    song, runs = str(setup.settings["song"]), list[EnteredRun]()
-    told = {path.parent: read_json(path, RobotPlays) for path in sorted(bench.glob(f"*/{ABOUT}"))}
-    low, high = setup.task.spec.action_low, setup.task.spec.action_high
-    for robot in range(ROBOTS):
-        asked = (song, str(robot), _PROFILE)
-        there = [f for f, p in told.items() if (p.song, p.robot, p.profile) == asked]
-        if not there:
-            raise CadenzaError(
-                f"{bench}: {song} was not played on robot {robot}; cadenza practice {song} "
-                f"--robot {robot} -o {bench / f'{song}-{robot}'}"
-            )
-        plays = read_tensors(there[0] / PLAYS_FILE, ANY, _MAX_BYTES)[0]["action"]
-        actions = plays[-1].clip(low, high)
-        metrics, about = played_on_robot(actions, robot, setup), told[there[0]]
-        if any(metrics[name] != about.metrics.get(name) for name in ("f1", "note_onset_f1")):
-            raise CadenzaError(f"{there[0]}: does not play as it was recorded; practise it again")
-        write_tensors(actions_path(entry, song, robot), {"action": actions})
-        runs.append(EnteredRun(song, robot, digest, metrics, about.cpu_seconds))
-    return runs

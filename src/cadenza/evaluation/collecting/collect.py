@@ -27,12 +27,8 @@ from cadenza.demonstrations.recorded_episode import (
     write,
     write_facts,
 )
-from cadenza.evaluation.collecting.perturbed_agent import (
-    PerformedAgent,
-    PerturbedAgent,
-    Shown,
-    shown_by,
-)
+from cadenza.evaluation.collecting.performed_agent import PerformedAgent
+from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, Shown, shown_by
 from cadenza.evaluation.collecting.variation import Variation, as_drawn
 from cadenza.evaluation.jobs import BenchJob, JobSpec, digest_of_files, songs_of
 from cadenza.evaluation.run import (
