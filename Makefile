@@ -58,7 +58,7 @@ SMOKE := api configs registry layering docs release cards errors cli_options tas
 	tasks/piano_task tasks/reward tasks/parity music/midi music/score music/goals music/playing_metrics \
 	music/written_hands music/bars agents/misses learning/networks \
 	learning/replay_buffer demonstrations/dataset evaluation/statistics \
-	evaluation/results report/performance_page evaluation/summary_page studio/requests
+	evaluation/results report/performance_page report/summary_page studio/requests
 SMOKE_TESTS := tests/hands tests/keyboards tests/scene tests/sim tests/fingering $(foreach name,$(SMOKE),$(dir tests/$(name))test_$(notdir $(name)).py)
 
 # Another Python than that of `make test` has only the packages that these need, of the same versions.
