@@ -77,8 +77,8 @@ def test_an_episode_is_played_again_to_a_page(folder, capsys):
     main(["dataset", "play", "out", "1", "-o", "page"])
     about = kept(folder / "out")[1].facts
     said = capsys.readouterr().out
-    assert f"F1 {about.f1:.3f}" in said
-    assert f"note onsets F1 {about.note_onset_f1:.3f}" in said
+    assert f"\nf1: {about.f1:.4g}\n" in said
+    assert f"\nnote_onset_f1: {about.note_onset_f1:.4g}\n" in said
     assert (folder / "page" / "report.html").exists()
 
 

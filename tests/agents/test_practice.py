@@ -357,7 +357,7 @@ def test_only_notes_that_are_wrong_are_not_yet_right(tmp_path, capsys):
         main(["practice", str(tmp_path / "leaps.mid"), *options, str(tmp_path / str(far))])
         said = capsys.readouterr().out
         assert "F1 1.000, note" not in said  # keys are silent that should sound
-        assert ("note onsets F1 1.000" in said) == is_right
+        assert ("note onset F1 1.000" in said) == is_right
         assert ("not yet right" in said) != is_right
 
 

@@ -193,4 +193,4 @@ def _result(folder: Path, _: BenchJob) -> str:
 
     result = read_result(folder)
     f1, onsets = (result.metrics.get(name) for name in ("f1", "note_onset_f1"))
-    return f"F1 {f1:.3f}, note onsets F1 {onsets:.3f}, {result.timing.wall_seconds:.0f} s"
+    return f"F1 {f1:.3f}, note onset F1 {onsets:.3f}, {result.timing.wall_seconds:.0f} s"

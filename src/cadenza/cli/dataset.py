@@ -118,7 +118,7 @@ def _outcome(folder: Path, _job: BenchJob) -> str:
 
     made = read_facts(folder)
     left_out = "" if made.kept else ", not kept"
-    scores = f"F1 {made.f1:.3f}, note onsets F1 {made.note_onset_f1:.3f}"
+    scores = f"F1 {made.f1:.3f}, note onset F1 {made.note_onset_f1:.3f}"
     return f"{scores}, {counted(made.num_steps, 'step')}{left_out}"
 
 
@@ -175,7 +175,7 @@ def play(command: DatasetPlay) -> None:
     with stages("playing") as reporter:
         performance = replay_episode(episodes[number], reporter)
     print(f"{episodes[number].facts.song}, {episodes[number].folder.name}")
-    save(performance, folder, command.video)
+    save(performance, folder, command.video, verbose=True)
 
 
 @dataclass(frozen=True)

@@ -259,7 +259,7 @@ def _remark(practice: Practice, score: Score) -> str:
 
 def _scores(row: tuple[float, float, float]) -> str:
     """Return the scores of an entry of the history."""
-    return "F1 {1:.3f}, note onsets F1 {2:.3f}".format(*row)
+    return "F1 {1:.3f}, note onset F1 {2:.3f}".format(*row)
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:

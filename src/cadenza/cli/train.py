@@ -231,7 +231,7 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
                 write_page(at_once=not (run.path / _PAGE).exists())
                 if "eval/f1" in row:
                     onsets, best = (r["eval/note_onset_f1"] for r in (row, training.best))
-                    scores = f"F1 {row['eval/f1']:.3f}, note onsets F1 {onsets:.3f}, "
+                    scores = f"F1 {row['eval/f1']:.3f}, note onset F1 {onsets:.3f}, "
                     scores += f"best {best:.3f}"
             num_shown = len(training.rows)
             advance(training.step, training.config.num_steps, scores)

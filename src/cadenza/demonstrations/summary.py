@@ -32,7 +32,7 @@ def summarize(folder: Path) -> Iterator[str]:
     yield _steps(kept)
     if kept:
         yield _spread("F1", [facts.f1 for facts in kept])
-        yield _spread("note onsets F1", [facts.note_onset_f1 for facts in kept])
+        yield _spread("note onset F1", [facts.note_onset_f1 for facts in kept])
         yield from _rewarded(kept)
         yield f"{sum(facts.drawn['mirrored'] for facts in kept):,} mirrored"
     there = (folder / part / file for part in (EPISODES, SONGS) for file in files_in(folder / part))
