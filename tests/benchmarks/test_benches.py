@@ -1,17 +1,15 @@
-"""What the benches count: planners, drills, disturbances, what a song holds, the headline."""
+"""What the benches count: planners, drills, disturbances, what a song holds."""
 
 from __future__ import annotations
 
-import csv
 import sys
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from benchmarks import headline, limits, planners
+from benchmarks import limits, planners
 from benchmarks.drills import succeeds
 from benchmarks.robustness import (
     DISTURBANCES,
@@ -29,7 +27,6 @@ from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
-from evaluation.made_up import result, write_result
 from numbered import finger
 
 
@@ -100,48 +97,6 @@ def sounding(*wrong: tuple[int, int]) -> np.ndarray:
 )
 def test_all_keys_have_to_be_right(wrong, success):
     assert succeeds(GOAL, sounding(*wrong)) == success
-
-
-@pytest.fixture
-def benches(tmp_path):
-    metrics = {"f1": 0.9, "note_onset_f1": 0.8, "onset_error_median": 0.004}
-    for split, names in {"valid": ["a"], "train": ["b", "c"]}.items():
-        for name in names:
-            content = result(f"{split}/{name}.mid", "planner", 0, metrics)
-            write_result(tmp_path / f"bench-{split}", name, content)
-    return [str(tmp_path / f"bench-{split}") for split in ("valid", "train")]
-
-
-def draw(benches: list[str], folder: Path, pieces: str, patch: pytest.MonkeyPatch) -> None:
-    table = folder / "index.csv"
-    lines = [f"{name},Nocturne {name},Field,op. 1,CC BY 4.0,somewhere" for name in pieces]
-    table.write_text("\n".join(["id,title,composer,opus,licence,source", *lines]))
-    words = [*benches, "--index", str(table), "-o", str(folder / "out")]
-    patch.setattr(sys, "argv", ["headline", *words])
-    headline.main()
-
-
-def test_splits_are_drawn_apart_and_pieces_have_their_titles_and_sources(
-    benches, tmp_path, monkeypatch
-):
-    draw(benches, tmp_path, "abc", monkeypatch)
-    out = tmp_path / "out"
-    assert "Nocturne a" in (out / "headline-valid.svg").read_text()
-    assert "Nocturne b: note onset F1 0.800, F1 0.900" in (out / "headline-train.svg").read_text()
-    with (out / "headline.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    found = [(row["split"], row["title"], row["licence"], row["onset_error"]) for row in rows]
-    assert found == [
-        ("valid", "Nocturne a", "CC BY 4.0", "4.0"),
-        ("train", "Nocturne b", "CC BY 4.0", "4.0"),
-        ("train", "Nocturne c", "CC BY 4.0", "4.0"),
-    ]
-
-
-def test_a_piece_that_the_table_lacks_is_named(benches, tmp_path, monkeypatch, capsys):
-    with pytest.raises(SystemExit):
-        draw(benches, tmp_path, "ab", monkeypatch)
-    assert "c: is not in the table" in capsys.readouterr().err
 
 
 def test_no_hand_gets_there_before_one_that_need_not_stop():
