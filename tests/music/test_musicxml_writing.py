@@ -312,6 +312,41 @@ def test_a_pickup_precedes_the_first_bar(tmp_path):
     assert [len(measure.findall("note/pitch")) for measure in others] == [3, 3, 3]
 
 
+def test_a_grace_note_before_the_first_bar_is_in_a_pickup_of_a_beat(tmp_path):
+    notes = [Note(0.0, 0.1, 71), *line([72] * 6, 0.5, start=0.1)]
+    first = next(written(Score(tuple(notes), bars=bars(2, 3, start=0.1)), tmp_path).iter("measure"))
+    assert (first.get("number"), first.get("implicit")) == ("0", "yes")
+    types = [note.findtext("type") for note in first.iter("note") if note.findtext("staff") == "1"]
+    assert types == ["eighth", "16th", "16th"]
+
+
+@pytest.mark.parametrize("beats", [(4, 5, 5), (2, 3, 2), (4, 11, 3)])
+def test_a_first_bar_of_another_metre_is_no_pickup(beats, tmp_path):
+    starts = [0.5 * sum(beats[:n]) for n in range(len(beats))]
+    begins = tuple(
+        Bar(start, n, tuple(start + 0.5 * beat for beat in range(count)))
+        for n, (start, count) in enumerate(zip(starts, beats, strict=True), start=1)
+    )
+    notes = line([60 + n % 5 for n in range(sum(beats))], 0.5)
+    root = written(Score(tuple(notes), bars=begins), tmp_path)
+    assert root.findtext(".//time/beats") == f"{beats[0]}"
+    assert not any(measure.get("implicit") for measure in root.iter("measure"))
+
+
+def test_a_tempo_that_changes_by_degrees_is_shown_once_it_has_changed(tmp_path):
+    beats = np.concatenate([[0.0], np.cumsum([0.5] * 8 + [0.5 + 0.06 * n for n in range(13)])])
+    begins = tuple(
+        Bar(float(beats[4 * n]), n + 1, tuple(beats[4 * n : 4 * n + 4].tolist())) for n in range(5)
+    )
+    places = enumerate(pairwise(beats[:21].tolist()))
+    notes = tuple(Note(*place, 60 + n % 4) for n, place in places)
+    root = written(Score(notes, bars=begins), tmp_path)
+    shown = [int(each.text) for each in root.iter("per-minute")]
+    assert shown[0] == 120
+    assert all(b < 0.9 * a for a, b in pairwise(shown))
+    assert len(shown) > 1
+
+
 def test_a_bar_of_minutes_can_be_read_again(tmp_path):
     song = Score((Note(0, 1, 60), Note(501, 502, 62)), bars=(Bar(0.0, 1), Bar(502.0, 2)))
     write_musicxml(song, tmp_path / "song.musicxml")

@@ -78,16 +78,22 @@ def tempos(metre: Metre) -> list[TempoMark]:
 
     Each holds as long as it can, which the swing filter finds (Elmeleegy et al. 2009, Online
     Piece-wise Linear Approximation of Numerical Streams with Precision Guarantees). Shown are the
-    first, and those of measures that are clearly faster or slower for longer than a measure.
+    first, and those of measures that are clearly faster or slower for longer than a measure: from
+    where they clearly are, if they become so by degrees.
     """
     changes = _changes((metre.ticks / QUARTER).tolist(), metre.times.tolist())
     seconds_at = {int(metre.ticks[cell]): seconds for cell, seconds in changes.items()}
-    shown = _shown(metre)
+    due = _shown(metre)
     marks = []
-    seconds = 0.0
-    for tick in sorted({*seconds_at, *shown}):
+    seconds = latest = 0.0
+    is_due = False
+    for tick in sorted({*seconds_at, *due}):
         seconds = seconds_at.get(tick, seconds)
-        marks.append(TempoMark(tick, seconds, tick in shown))
+        is_due |= tick in due
+        is_shown = is_due and (not latest or abs(np.log(seconds / latest)) > _SHOWN)
+        if is_shown:
+            latest, is_due = seconds, False
+        marks.append(TempoMark(tick, seconds, is_shown))
     return marks
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -80,8 +81,10 @@ def metre_of(score: Score) -> Metre:
     if is_estimated:
         timed = _timed(estimated_bars(score.notes))
     first, end = score.notes[0].start, score.total_time
-    while first < timed[0].times[0] - CHORD_TOLERANCE and len(timed) < _MAX_ADDED:
-        timed.insert(0, timed[0].repeated(-1))
+    if first < timed[0].times[0] - CHORD_TOLERANCE:
+        while first < timed[0].times[0] - CHORD_TOLERANCE and len(timed) < _MAX_ADDED:
+            timed.insert(0, timed[0].repeated(-1))
+        timed[0] = timed[0].since(first)
     while len(timed) > 1 and timed[0].times[-1] <= first + CHORD_TOLERANCE:
         del timed[0]
     last_start = score.notes[-1].start
@@ -119,6 +122,11 @@ class _TimedBar:
         length = direction * (self.times[-1] - self.times[0])
         times = tuple(time + length for time in self.times)
         return replace(self, number=self.number + direction, times=times)
+
+    def since(self, start: float) -> _TimedBar:
+        """Its last beats, from that in which `start` [s] lies."""
+        begun = bisect_right(self.times, start + CHORD_TOLERANCE) - 1
+        return replace(self, times=self.times[min(begun, len(self.times) - 2) :])
 
 
 def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
@@ -176,10 +184,17 @@ def _metre(bars: list[_TimedBar]) -> Metre:
 
 
 def _with_parts(measures: list[Measure]) -> list[Measure]:
-    """The measures with those marked that are parts: a pickup, or two that make a whole one."""
+    """The measures with those marked that are parts: a pickup, or two that make a whole one.
+
+    A short first measure is a pickup if it has the number 0, or at most half the length of the
+    measures after it; else it has a metre of its own.
+    """
     marked = list(measures)
     if len(marked) > 1 and marked[0].length < marked[1].length:
-        marked[0] = _pickup(marked[0], marked[1].written)
+        is_steady = marked[1].length == marked[:3][-1].length
+        is_half = 2 * marked[0].length <= marked[1].length
+        if marked[0].number == 0 or (is_half and is_steady):
+            marked[0] = _pickup(marked[0], marked[1].written)
     for i in range(1, len(marked) - 1):
         before, here, after = marked[i - 1 : i + 2]
         bar = WHOLE * before.written[0] // before.written[1]
