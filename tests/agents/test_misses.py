@@ -55,6 +55,7 @@ class Concert:
         self.dropped: tuple[Dropped, ...] = ()
         self.dt = DT
         self.scene = SCENE
+        self.events: dict[str, Any] = {}  # of keys, within steps
 
     def sounds(self, key: int, first: int, last: int) -> None:
         self.played[:, key] = False
@@ -67,6 +68,8 @@ class Concert:
             "action": np.zeros((STEPS, 1)),
             "goal_keys": self.goal,
             "key_activation": self.played,
+            "sustain_activation": np.zeros(STEPS, bool),
+            **self.events,
             "key_qpos": np.where(self.played, PIANO.travel, 0.6 * PIANO.travel),
             "fingertip_xpos": self.tips,
             "body_xpos": xpos,
@@ -245,6 +248,19 @@ def test_a_key_that_does_not_come_up_between_notes(concert):
     concert.presses[:1] = [Press("right", INDEX, C4, 11, 16), Press("right", INDEX, C4, 17, 21)]
     (miss,) = concert.misses()
     assert (miss.time, miss.what, miss.cause) == (0.8, "not struck again", "key not released")
+
+
+@pytest.mark.parametrize(("silence", "num_misses"), [(0.019, 1), (0.021, 0)])
+def test_a_key_that_comes_up_too_shortly_is_not_struck_again(concert, silence, num_misses):
+    concert.goal[15, C4] = concert.played[15, C4] = False
+    concert.presses[:1] = [Press("right", INDEX, C4, 11, 16), Press("right", INDEX, C4, 17, 21)]
+    onset, offset, velocity = np.full((3, STEPS, 88), np.nan)
+    onset[[10, 25], [C4, C5]], offset[[20, 35], [C4, C5]] = 0.01, 0.01
+    offset[15, C4], onset[16, C4] = 0.05 + 0.01 - silence, 0.01
+    velocity[~np.isnan(onset)] = 80
+    concert.events = {"key_onset": onset, "key_offset": offset, "key_velocity": velocity}
+    misses = [(miss.time, miss.what, miss.cause) for miss in concert.misses()]
+    assert misses == [(0.8, "not struck again", "key not released")] * num_misses
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ never sounded, sounded more than `_IN_TIME` late, or was let go more than that e
 the first that holds says why it did not sound, or late:
 
 1. no finger: the fingering left it out, or gave it to a hand that is not there.
-2. key not released: the key still sounded from the note before.
+2. key not released: the key still sounded from the note before, or was silent too shortly to be
+   heard as struck again.
 3. finger needed elsewhere: the plan holds the key for `_SHORTEST` at most and less than wanted,
    because its finger, or the whole hand, has to be elsewhere soon.
 4. neighbouring key struck: up to two keys away another began to sound at about that time, with the
@@ -39,7 +40,7 @@ from cadenza.episode import Episode
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.body import prefix
 from cadenza.hands.forearm import FOREARM, WIDTH
-from cadenza.music.performance import key_runs
+from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import note_name
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.reward import key_state
@@ -52,6 +53,7 @@ _TOUCHING = 0.003  # [m] between surfaces: they may have touched within the step
 _FAST = 0.7  # [m/s] along the keyboard in the plan, just before the key is struck
 _NEAR = 2  # keys to either side that a finger may strike instead of its own
 _COMING = 0.2  # [s] within which a finger that is late is seen to come
+_ROUNDING = 1e-6  # of a step
 _STRIDE = 0.1  # [s] over which its speed is taken
 
 
@@ -120,6 +122,10 @@ class _Diagnosis:
         self._dt, self._steps = episode.dt, episode.num_steps
         self._in_time = steps_in(_IN_TIME, self._dt)
         self._goal, self._played = episode["goal_keys"], episode["key_activation"]
+        self._begun = defaultdict[int, list[int]](list)  # the steps in which keys began to sound
+        for played in played_in(episode).notes:
+            key = played.pitch - self._keyboard.lowest_pitch
+            self._begun[key].append(int(played.start / self._dt + _ROUNDING))
         self._depth = key_state(episode["key_qpos"], self._keyboard.travel)
         self._tips = episode["fingertip_xpos"]
         self._there = plan.scene.has_fingers(np.arange(self._numbers.count))
@@ -162,8 +168,8 @@ class _Diagnosis:
 
     def _sounds_from_before(self, note: _GoalNote) -> bool:
         """Whether the key still sounds from an earlier note of the score."""
-        before = np.flatnonzero(~self._played[: note.first, note.key])
-        since = int(before[-1]) + 1 if len(before) else 0
+        begun = [step for step in self._begun[note.key] if step <= note.first]
+        since = begun[-1] if begun else note.first
         return bool(self._goal[since : note.first, note.key].any())
 
     # Notes that did not sound in time
