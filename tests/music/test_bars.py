@@ -139,6 +139,14 @@ def test_bars_of_musicxml_have_their_printed_numbers_and_are_repeated(tmp_path):
     assert score.bars[1].beats == pytest.approx([2, 2 + 2 / 3, 2 + 4 / 3])
 
 
+def test_bars_that_are_not_counted_have_the_number_of_the_bar_before(tmp_path):
+    text = document([FOUR_QUARTERS + note("C4", 16), *[note("C4", 16)] * 4])
+    for number, printed in enumerate(("7", "X1", "8", "8a", "-1"), start=1):
+        text = text.replace(f'measure number="{number}"', f'measure number="={printed}"')
+    (tmp_path / "song.musicxml").write_text(text.replace('"=', '"'))
+    assert [bar.number for bar in read_score(tmp_path / "song.musicxml").bars] == [7, 7, 8, 8, 8]
+
+
 def test_a_bar_that_its_beats_do_not_fill_has_finer_ones(tmp_path):
     first = FOUR_QUARTERS.replace("<beats>4", "<beats>3") + note("C4", 2)
     text = document([first, note("C4", 12)]).replace('number="1"', 'number="0"')

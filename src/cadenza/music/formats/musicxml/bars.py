@@ -1,5 +1,6 @@
 """The bars of a sheet, the order in which they are played, and all of it as it is played so."""
 
+import re
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,6 +19,8 @@ from cadenza.music.score import BEAT_TYPES, MAX_SIGNS, PITCHES, key_above
 from cadenza.music.signs.notes import SignedNote
 from cadenza.music.signs.tempo_map import Swing
 
+_COUNTED = re.compile("[0-9]{1,6}")
+"""What a bar is counted as, such as 4a; X1 is none, and part of the bar before it."""
 _MAX_TIMES = 999  # that a section is played, as endings are numbered
 _MAX_BEATS = 64  # of a bar; a longer one has no metre
 
@@ -125,7 +128,9 @@ class _BarReader:
             self._read_barline(element, placed.quarter)
 
     def _begin(self, measure: int, quarter: Fraction, printed: str) -> None:
-        counted = int(number(printed, Fraction(measure + 1)))
+        digits = _COUNTED.match(printed)
+        before = self.bars[-1].number if self.bars else 1
+        counted = int(digits[0]) if digits else before if printed else measure + 1
         end, signs = self._begins[measure + 1], Signs(ending=self._bracket)
         self.bars.append(
             WrittenBar(measure, quarter, end, counted, self._beat_type, signs, key=self._key)
