@@ -60,6 +60,15 @@ def test_a_ritardando_leads_to_a_slower_tempo_and_an_accelerando_to_a_faster_one
     assert against[8] - against[4] == pytest.approx(4 * (1 + 1 / 0.75) / 2)
 
 
+def test_an_accelerando_leads_to_the_tempo_of_the_beginning_if_that_is_faster():
+    for change, reached in ((TempoChange.ACCELERANDO, 0.5), (TempoChange.RITARDANDO, 1 / 0.75)):
+        marks = [Tempo(Q(0), 0.5), Tempo(Q(4), 1.0)]
+        marks += [TempoWord(Q(8), change), TempoWord(Q(12), TempoChange.TEMPO_PRIMO)]
+        got = onsets(marks)
+        assert got[12] - got[8] == pytest.approx(4 * (1 + reached) / 2)
+        assert got[13] - got[12] == pytest.approx(0.5)
+
+
 def test_a_ritardando_that_the_score_forgets_does_not_slow_down_all_that_follows():
     marks = [Tempo(Q(0), 1.0), TempoWord(Q(0), TempoChange.RITARDANDO)]
     lengths = np.diff(onsets(marks, places=[Q(k) for k in range(30)], end=Q(40)))

@@ -229,6 +229,7 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegme
     changes.sort(key=lambda mark: mark.onset)  # at one place, tempos first
     primo = next((mark.seconds for mark in changes if isinstance(mark, Tempo)), None)
     speeds = [TempoSegment(Fraction(0), _SECONDS_PER_QUARTER)]
+    primo = _SECONDS_PER_QUARTER if primo is None else primo
     before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
     for mark, following in zip_longest(changes, changes[1:]):
         now = min(max(speeds[-1].seconds, _FASTEST), _SLOWEST)
@@ -236,6 +237,8 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegme
             continue
         if isinstance(mark, TempoWord) and mark.change in _GRADUAL:
             before, gradual = before if gradual else now, True
+            if isinstance(following, TempoWord) and following.change is TempoChange.TEMPO_PRIMO:
+                following = Tempo(following.onset, primo)
             speeds += _ramp(mark, now, before, following, end)
             continue
         if isinstance(mark, Tempo):
@@ -247,7 +250,7 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegme
                 TempoChange.MENO_MOSSO: now / MENO_MOSSO,
                 TempoChange.PIU_MOSSO: now / PIU_MOSSO,
                 TempoChange.A_TEMPO: before,
-                TempoChange.TEMPO_PRIMO: _SECONDS_PER_QUARTER if primo is None else primo,
+                TempoChange.TEMPO_PRIMO: primo,
             }[mark.change]
         sudden = isinstance(mark, TempoWord) and mark.change in _SUDDEN
         before, gradual = now if sudden else seconds, False
