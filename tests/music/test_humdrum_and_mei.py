@@ -107,6 +107,9 @@ def test_mei_is_played_in_its_order(tmp_path, content, played):
             '<expansion plist="#A"/>' + section("A", bar("c")) + section("B", bar("d")),
             "1 bar passed",
         ),
+        (bar("c", "", '<trill startid="#x"/><turn startid="#x"/>'), "2 ornaments left out"),
+        (bar(note("c", 1, 'fermata="above"')), "1 fermata left out"),
+        (bar(f"<fTrem>{note('c', 2)}{note('d', 2)}</fTrem>"), "1 tremolo between notes left out"),
     ],
 )
 @pytest.mark.usefixtures("at_once")

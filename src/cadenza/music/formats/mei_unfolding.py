@@ -32,6 +32,11 @@ _TEMPOS = frozenset(("scoreDef", "staffDef", "tempo"))
 _EVENTS = frozenset(("note", "chord", "rest", "space"))
 _REPEATED_BARS = {"mRpt": 1, "mRpt2": 2, "multiRpt": 0}  # the last has @num
 _REPEATS = ("rptend", "rptboth"), ("rptstart", "rptboth")
+_UNPLAYED = {
+    **dict.fromkeys(("trill", "mordent", "turn", "ornam"), "ornament"),
+    **{"fermata": "fermata", "fTrem": "tremolo", "gliss": "glissando"},
+}
+"""Signs that Verovio does not play, and what they count as."""
 _WITHOUT_MUSIC = frozenset(("pb", "sb", "cb", "div", "expansion", "annot"))
 
 
@@ -66,6 +71,8 @@ def unfolded(content: str) -> tuple[str, dict[str, MeiBar], Counter[str]]:
         for key, value in named.items():
             del element.attrib[key]
             element.set(_ID, value)
+        if element.tag in _UNPLAYED or "fermata" in element.attrib:
+            counts[_UNPLAYED.get(element.tag, "fermata")] += 1
         if element.tag == "measure":
             element.attrib.setdefault(_ID, f"bar{number}")
             for place, staff in enumerate(element.findall("{*}staff"), start=1):

@@ -75,7 +75,7 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
     with errors_in(path):
         title = _named(_TITLE[form], content) or title_of(path)
         score = score_of(file._replace(tracks=[*music, marked]), tracks, title)
-    remark = f"read by Verovio as {form}: without loudness, pedal and fingers"
+    remark = f"read by Verovio as {form}: without loudness, articulation and fingers"
     remarks = (remark, *_remarks(Counter(left_out)), *score.remarks)
     name = _named(_COMPOSER[form], content)
     composer = " ".join(reversed(name.split(", "))) if name.count(", ") == 1 else name
@@ -103,6 +103,10 @@ def _remarks(left_out: Counter[str]) -> list[str]:
             (left_out["jump"], "jump", "without a segno or coda to go to left out"),
             (left_out["bar"], "bar", "passed over by all repeats and jumps"),
             (left_out["tempo"], "tempo word", AS_USUAL),
+            (left_out["ornament"], "ornament", "left out"),
+            (left_out["fermata"], "fermata", "left out"),
+            (left_out["tremolo"], "tremolo", "between notes left out"),
+            (left_out["glissando"], "glissando", "left out"),
         )
     )
 
