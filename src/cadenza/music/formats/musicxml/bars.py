@@ -19,7 +19,7 @@ from cadenza.music.score import BEAT_TYPES, MAX_SIGNS, PITCHES, key_above
 from cadenza.music.signs.notes import SignedNote
 from cadenza.music.signs.tempo_map import Swing
 
-_COUNTED = re.compile("[0-9]{1,6}")
+_COUNTED = re.compile("[0-9]{1,6}(?![0-9])")
 """What a bar is counted as, such as 4a; X1 is none, and part of the bar before it."""
 _MAX_TIMES = 999  # that a section is played, as endings are numbered
 _MAX_BEATS = 64  # of a bar; a longer one has no metre
