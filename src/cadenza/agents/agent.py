@@ -50,33 +50,36 @@ class Agent(ABC):
         """Number of threads that the agent uses."""
         return self.num_threads or default_threads()
 
-    def reset(  # noqa: B027 - not all have anything to begin
+    def reset(  # noqa: B027 - some agents need none
         self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Begin episodes in environments, each with its generator; the next view is of step 0."""
+        """Begin an episode in each environment, with a generator for each.
+
+        The next view is of step 0.
+        """
 
     @abstractmethod
     def act(self, view: View) -> Array:
         """Next actions (N, A) in actuator units, the pedal last.
 
-        Those of environments that are not `view.playing` do not matter.
+        Rows of environments that are not `view.playing` are ignored.
         """
 
     def song_plan(self, env_id: int) -> Any:
         """`SongPlan` that an environment's episode follows, None for an agent without one.
 
-        Reports show its fingers, and say by it why notes were missed.
+        Reports show its fingers, and explain missed notes by it.
         """
         return None
 
-    def close(self) -> None:  # noqa: B027 - nor to end
-        """Free what the episodes needed, such as threads. A reset may follow."""
+    def close(self) -> None:  # noqa: B027 - as above
+        """Free resources of the episodes, such as threads. A reset may follow."""
 
 
 def check_planned_for(view: View, steps: int, width: int) -> None:
     """Check that a plan of `steps` actions of `width` each fits the episodes of `view`.
 
-    Raises CadenzaError if the actions have another width than the task's, or another number.
+    Raises CadenzaError if their number or their width differs from the task's.
     """
     if width != view.task.action_size:
         flag = "no-reduced" if view.task.scene.config.reduced_action_space else "reduced"
@@ -84,9 +87,9 @@ def check_planned_for(view: View, steps: int, width: int) -> None:
             f"the plan has {width} actions per step, but this task has {view.task.action_size}: "
             f"was it made for other hands or the other action space (--{flag}-action-space)?"
         )
-    if len(others := view.num_steps[view.num_steps != steps]):
+    if len(lengths := view.num_steps[view.num_steps != steps]):
         raise CadenzaError(
-            f"the plan has {steps} steps, but the song has {others[0]}: "
+            f"the plan has {steps} steps, but the song has {lengths[0]}: "
             "was it made for another song, tempo or initial silence?"
         )
 

@@ -20,14 +20,14 @@ from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
 _AGREES = 1e-5  # [m, rad] between sensors and model, below which the model needs no correction
-# What a model is off after a control step, if the robot differs: in joints [rad], slides [m], and
-# as a fraction of a key's travel. The noisier sensors are beside this, the less they count.
+# Error of the model after a control step, if the robot differs: of joints [rad], of slides [m], and
+# of keys as a fraction of their travel. Sensors count the less, the noisier they are beside this.
 _MODEL_ERROR = np.array([0.01, 0.001, 0.1])
 
 
 @dataclass(frozen=True)
 class Lateness:
-    """What an agent knows of the delays and the noise of a robot."""
+    """The delays and the noise of a robot, as an agent knows them."""
 
     actions: float  # the time that actions take to arrive [s]
     observations: float  # the time that observations take to arrive [s]
@@ -35,8 +35,8 @@ class Lateness:
     noise: tuple[float, float, float]
 
     @classmethod
-    def known(cls, config: DomainRandomization) -> Lateness | None:
-        """What is known of robots that are drawn so: the middle of each range; None for nothing."""
+    def expected(cls, config: DomainRandomization) -> Lateness | None:
+        """The middle of each range from which robots are drawn; None without delays and noise."""
         late = cls(
             sum(config.latency) / 2,
             sum(config.observation_latency) / 2,
@@ -46,7 +46,10 @@ class Lateness:
 
 
 def earlier(track: GoalTrack, seconds: float) -> GoalTrack:
-    """The track with the same fingers, earlier; raises CadenzaError if it begins before that."""
+    """The track with the same fingers, `seconds` earlier.
+
+    Raises CadenzaError if its initial silence is shorter.
+    """
     config, dt = track.config, track.config.control_timestep
     steps = math.ceil(round(seconds / dt, 9))
     if steps > track.silent_steps:
@@ -63,9 +66,9 @@ def earlier(track: GoalTrack, seconds: float) -> GoalTrack:
 class StateEstimator:
     """An estimate of the state of a robot when the next action arrives.
 
-    The nominal model runs forward with the actions that were sent, as late as sensors are, is
-    corrected by what they measure, and from there is rolled out: a Smith predictor with the gain of
-    a steady-state Kalman filter.
+    The nominal model runs with the actions that were sent, as late as the sensors are, is corrected
+    by their measurements, and is rolled out from there: a Smith predictor with the gain of a
+    steady-state Kalman filter.
     """
 
     def __init__(self, scene: Scene, control_timestep: float, late: Lateness, start: State) -> None:
@@ -73,11 +76,11 @@ class StateEstimator:
         step = scene.model.opt.timestep
         self._substeps = round(control_timestep / step)
         delay = round(late.actions / step) + round(late.observations / step)
-        self._whole, self._rest = divmod(delay, self._substeps)
+        self._whole_steps, self._rest_substeps = divmod(delay, self._substeps)
         self._scene, self._keys = scene, scene.key_qpos
         self._model, self._ahead, *self._part = (
             PlanningSimulation(scene, 1, seconds)
-            for seconds in (control_timestep, control_timestep, self._rest * step)
+            for seconds in (control_timestep, control_timestep, self._rest_substeps * step)
             if seconds
         )
         hinges, slides, keys = _gain(np.array(late.noise), _MODEL_ERROR)
@@ -87,17 +90,17 @@ class StateEstimator:
         self._model.set_joints(start.hand_qpos[0], start.hand_qvel[0], start.key_qpos[0])
         servos = servos_of(scene)
         at_rest = servos.clip(start.hand_qpos[0] @ servos.of_joints)
-        self._sent = [at_rest] * (self._whole + 2)
-        self._begun = False
+        self._sent = [at_rest] * (self._whole_steps + 2)
+        self._has_begun = False
 
     def estimate(self, measured: State) -> State:
-        """The state in which the next action arrives, from what one robot's sensors have now."""
-        if self._begun:
+        """The state in which the next action arrives, from the measured state of one robot."""
+        if self._has_begun:
             self._step(self._model, 0)
-        self._begun = True
+        self._has_begun = True
         self._correct(measured)
         self._ahead.copy_from(self._model, 0)
-        for k in range(self._whole):
+        for k in range(self._whole_steps):
             self._step(self._ahead, k + 1)
         if not self._part:
             return self._ahead.state
@@ -107,45 +110,45 @@ class StateEstimator:
         return part.state
 
     def send(self, ctrl: Array) -> None:
-        """Note the action (A,) that is sent now."""
+        """Record the action (A,) that is sent now."""
         self._sent = [*self._sent[1:], ctrl]
 
     def _step(self, model: PlanningSimulation, k: int) -> None:
-        """Take a control step with the k-th action on its way, and until then the one before."""
-        before, then = self._sent[k][None], self._sent[k + 1][None]
-        model.step(then, None, HeldControls(before, np.array([self._rest])))
+        """Take a control step, in which the action before k + 1 is held until that one arrives."""
+        previous, action = self._sent[k][None], self._sent[k + 1][None]
+        model.step(action, None, HeldControls(previous, np.array([self._rest_substeps])))
 
     def _correct(self, measured: State) -> None:
-        """Correct the model by what sensors have, unless they agree."""
+        """Correct the model by the measured state, unless they agree."""
         model = self._model.state
-        off = measured.hand_qpos[0] - model.hand_qpos[0]
-        keys_off = np.nan_to_num(measured.key_qpos[0] - model.key_qpos[0])  # NaN: not measured
-        if max(abs(off).max(), abs(keys_off).max()) < _AGREES:
+        position_error = measured.hand_qpos[0] - model.hand_qpos[0]
+        key_error = np.nan_to_num(measured.key_qpos[0] - model.key_qpos[0])  # NaN: not measured
+        if max(abs(position_error).max(), abs(key_error).max()) < _AGREES:
             return
         qvel = self._model.coordinates()[0, self._scene.model.nq :]
-        fast = np.nan_to_num(measured.hand_qvel[0] - model.hand_qvel[0])
+        speed_error = np.nan_to_num(measured.hand_qvel[0] - model.hand_qvel[0])
         self._model.set_joints(
-            model.hand_qpos[0] + self._joint_gain * off,
-            model.hand_qvel[0] + self._joint_gain * fast,
-            model.key_qpos[0] + self._key_gain * keys_off,
+            model.hand_qpos[0] + self._joint_gain * position_error,
+            model.hand_qvel[0] + self._joint_gain * speed_error,
+            model.key_qpos[0] + self._key_gain * key_error,
             qvel[self._keys],
         )
 
 
 def _gain(noise: Array, error: Array) -> Array:
-    """The gain of the Kalman filter of a random walk by `error` a step, seen with `noise`."""
-    spread = (error**2 + error * np.sqrt(error**2 + 4 * noise**2)) / 2
-    return spread / (spread + noise**2)
+    """Kalman gain for a random walk with a standard deviation `error` a step, seen with `noise`."""
+    variance = (error**2 + error * np.sqrt(error**2 + 4 * noise**2)) / 2
+    return variance / (variance + noise**2)
 
 
 P = TypeVar("P", bound=EpisodePlanner)
 
 
 class EarlyPlanner(EpisodePlanner, Generic[P]):
-    """A planner that plays its song as early as actions are late.
+    """A planner that plays its song ahead of time, by the delay of its actions.
 
     Attributes:
-        planner: the planner, for which nothing is late.
+        planner: the planner of the earlier song, for which nothing is late.
     """
 
     def __init__(self, view: View, late: Lateness, begin: Callable[[View], P]) -> None:
@@ -163,28 +166,28 @@ class EarlyPlanner(EpisodePlanner, Generic[P]):
 
     def act(self, view: View) -> Array:
         state = self._estimator.estimate(view.state)
-        if view.steps[0] < self._num_steps[0]:  # what comes later arrives after the end
+        if view.steps[0] < self._num_steps[0]:  # later actions arrive after the end
             self._action = self.planner.act(self._early(view, state))
         self._estimator.send(self._action[:-1])
         return self._action
 
     def _early(self, view: View, state: State) -> View:
-        """The view of a robot that is not late, in a state, and of a song that begins earlier."""
+        """The view of the earlier song, on a robot that is in a state and not late."""
         return replace(view, tracks=(self._track,), num_steps=self._num_steps, state=state)
 
     @property
     def plan(self) -> Any:
-        """The plan of the song that begins earlier."""
+        """The plan of the earlier song."""
         return self.planner.plan
 
 
 def early(view: View, begin: Callable[[View], P]) -> P | EarlyPlanner[P]:
-    """Begin a planner at a view, early if the task says that robots are late or noisy.
+    """Begin a planner at a view: an `EarlyPlanner` if the task's robots are late or noisy.
 
-    Hands at pianos of their own play as they are. Raises CadenzaError if the song begins before an
-    action can arrive.
+    Hands at pianos of their own are not compensated. Raises CadenzaError if the song begins before
+    an action can arrive.
     """
-    late = Lateness.known(view.task.config.randomization)
+    late = Lateness.expected(view.task.config.randomization)
     if late is None or view.task.scene.config.hands in ("apart", "none"):
         return begin(view)
     return EarlyPlanner(view, late, begin)

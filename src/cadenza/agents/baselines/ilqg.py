@@ -30,7 +30,7 @@ from cadenza.tasks.view import View
 _KEY_RADIUS = 0.1
 _FINGER_RADIUS = 0.01  # [m]
 _NO_CHANGE = 1e-6  # of controls, in half ranges
-_TRUSTED_STEP = 0.3  # shorter steps say that the model is less accurate than it was taken to be
+_TRUSTED_STEP = 0.3  # if the best step is shorter, the model is inaccurate
 
 
 class ILQG(PlannerPerEnv["ILQGPlanner"]):
@@ -74,7 +74,7 @@ class ILQGPlanner(EpisodePlanner):
     def __init__(self, view: View, config: ILQGConfig, num_threads: int) -> None:
         """Begin with a plan at rest, from the view of the first step of one environment.
 
-        Raises CadenzaError if the timesteps of task and plan do not divide.
+        Raises CadenzaError if the timestep of the plan does not divide that of the task.
         """
         task = self._task = view.task
         self.config, hold, planning = config, task.config.control_timestep, config.planning_timestep
@@ -137,7 +137,7 @@ class ILQGPlanner(EpisodePlanner):
             self._damping.increase()
             return False
         if np.abs(law.offset).max() < _NO_CHANGE:
-            self._damping.decrease()  # or it would be the reason
+            self._damping.decrease()  # it may be the reason
             return False
         candidates, cost = self.line_search(law, start)
         best = int(np.argmin(cost))
@@ -177,14 +177,14 @@ class ILQGPlanner(EpisodePlanner):
         return residuals.cost(keys, fingers).reshape(steps.shape).sum(axis=1)
 
     def _residuals(self, steps: Ids, states: State | Linearisation) -> Residuals:
-        """Residuals in states (N, P), which belong to control steps (N, P) of the horizon."""
+        """Residuals in states (N, P) of control steps (N, P) of the horizon."""
         rows = steps.ravel()
         return residuals_of(self._task, states, self._keys[rows], self._fingers[rows])
 
     def _cost_derivatives(self, linearised: Linearisation) -> tuple[Array, Array]:
         """Gradient (K, 2 V + A) and Gauss-Newton Hessian (K, 2 V + A, 2 V + A) of each step.
 
-        A key's state is taken to go on beyond its stops, or one at rest would seem immovable.
+        The state of a key is extrapolated beyond its stops: a key at rest would seem immovable.
         """
         jacobian, scene = flattened(linearised.jacobian), self._task.scene
         steps = np.repeat(np.arange(len(self.nominal))[:, None], self._substeps, axis=1)
@@ -278,14 +278,14 @@ def box_qp(
     x = np.clip(start, low, high)
     tolerance = _TOLERANCE * (np.linalg.norm(gradient) + np.linalg.norm(hessian @ x))
     for _ in range(_MAX_NEWTON_STEPS):
-        here = gradient + hessian @ x
-        free = ~(((x <= low) & (here > 0)) | ((x >= high) & (here < 0)))
-        if np.linalg.norm(here[free]) <= tolerance:
+        slope = gradient + hessian @ x
+        free = ~(((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0)))
+        if np.linalg.norm(slope[free]) <= tolerance:
             break
         step = np.zeros_like(x)
-        step[free] = -_solve(hessian[np.ix_(free, free)], here[free])
-        x, before = _line_search(hessian, here, x, step, low, high), x
-        if (x == before).all():
+        step[free] = -_solve(hessian[np.ix_(free, free)], slope[free])
+        x, previous = _line_search(hessian, slope, x, step, low, high), x
+        if (x == previous).all():
             break
     return x, free
 
@@ -317,7 +317,7 @@ def backward_pass(
     `regularisation` is added to the diagonal of the control Hessian (Levenberg-Marquardt).
 
     Raises:
-        np.linalg.LinAlgError: it takes more regularisation.
+        np.linalg.LinAlgError: more regularisation is needed.
     """
     steps, m = controls.shape
     n = model.transition.shape[1]
@@ -334,9 +334,9 @@ def backward_pass(
         gain = np.zeros((m, n))
         if free.any():
             gain[free] = -_solve(q_uu[np.ix_(free, free)], q_zz[n:][free, :n])
-        closed = np.concatenate([np.eye(n), gain])  # z by x, under the law
-        v_x = closed.T @ (q_z + q_zz[:, n:] @ offset)
-        v_xx = closed.T @ q_zz @ closed
+        closed_loop = np.concatenate([np.eye(n), gain])  # z by x, under the law
+        v_x = closed_loop.T @ (q_z + q_zz[:, n:] @ offset)
+        v_xx = closed_loop.T @ q_zz @ closed_loop
         v_xx = (v_xx + v_xx.T) / 2
         law.offset[k], law.gain[k] = offset, gain
         warm_start = offset

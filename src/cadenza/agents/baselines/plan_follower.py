@@ -1,4 +1,4 @@
-"""A follower of a plan that was finished before."""
+"""A follower of a finished plan."""
 
 import numpy as np
 
@@ -21,6 +21,6 @@ class PlanFollower(EpisodePlanner):
         self.plan, self.tracking, self._servos = plan, tracking, servos_of(plan.scene)
 
     def act(self, view: View) -> Array:
-        here = self._servos.state(view.state.hand_qpos, view.state.hand_qvel)
-        ctrl = self.tracking.controls(self._servos, view.steps, here)
+        servo_state = self._servos.state(view.state.hand_qpos, view.state.hand_qvel)
+        ctrl = self.tracking.controls(self._servos, view.steps, servo_state)
         return np.append(ctrl[0], self.plan.goals.sustain[view.steps])

@@ -1,7 +1,7 @@
 """Predictive sampling, the paper's planner (Zakka et al., RoboPianist, CoRL 2023, appendix F).
 
-Howell et al., "Predictive Sampling: Real-time Behaviour Synthesis with MuJoCo" (2022): of N plans
-drawn around the last one, itself among them, the cheapest in simulation is kept, again and again.
+Howell et al., "Predictive Sampling: Real-time Behaviour Synthesis with MuJoCo" (2022): draw N plans
+around the last one, which is one of them, keep the cheapest in simulation, and repeat.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
 class SamplingPlanner(EpisodePlanner):
     """A planner of one song.
 
-    A plan is a cubic spline through knots over the horizon, sampled where the task will take its
-    next actions and held in between, as the task holds them. The pedal follows the score: the cost
-    says nothing about it.
+    A plan is a cubic spline through knots over the horizon. It is sampled at the task's control
+    steps, and held in between as the task holds its actions. The pedal follows the score, as the
+    cost does not depend on it.
 
     Attributes:
         nominal: (num_knots, A) the knots of the plan, in actuator units.
@@ -81,7 +81,7 @@ class SamplingPlanner(EpisodePlanner):
         self._rollouts = PlanningSimulation(
             in_steps_of(task.scene, step), config.num_candidates, step, num_threads
         )
-        self._seconds_left = 0.0  # of the budget; less than 0 where the last steps took too long
+        self._seconds_left = 0.0  # of the budget; below 0 after steps that took too long
         self._knot_times = np.linspace(0.0, config.horizon, config.num_knots)
         self.nominal = np.tile(np.clip(0.0, self._low, self._high), (config.num_knots, 1))
 
@@ -138,5 +138,7 @@ class SamplingPlanner(EpisodePlanner):
         shape = states.key_qpos.shape[:2]
         keys, fingers = self._goals.at(np.tile(rows, shape[0]))
         residuals = residuals_of(self._task, states, keys, fingers)
-        norms = (np.linalg.norm(each, axis=1) for each in (residuals.keys, residuals.offset))
+        norms = (
+            np.linalg.norm(residual, axis=1) for residual in (residuals.keys, residuals.offset)
+        )
         return residuals.cost(*norms).reshape(shape)

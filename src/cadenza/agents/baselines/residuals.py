@@ -34,7 +34,7 @@ def residuals_of(
     keys: NDArray[np.bool_],
     fingers: NDArray[np.int8],
 ) -> Residuals:
-    """Residuals in all states, with the keys of fingers as the score or the task gives them.
+    """Residuals in all states; the score or the task says which finger presses which key.
 
     Args:
         task: a task with hands.

@@ -68,9 +68,11 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
     postures = np.empty((states, len(scene.actuator_names)))
     for side in scene.sides:
         hand = hand_alone(scene, side)
-        own = [press for press in presses if press.side == side]
+        side_presses = [press for press in presses if press.side == side]
         motions = Motions(hand.scene, dt, progress)
-        postures[:, hand.servos] = stitched(own, motions, before.postures[0, hand.servos], states)
+        postures[:, hand.servos] = stitched(
+            side_presses, motions, before.postures[0, hand.servos], states
+        )
     targets = targets_of(scene, presses, states, dt)
     for press in presses:
         if not scene.keyboard.is_black[press.key]:
@@ -81,9 +83,9 @@ def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
 
 Held = tuple[tuple[int, int], ...]  # pairs of finger and key, of each finger that is down
 
-_BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over the next ones
-_AFTER = 0.15  # [s] after it, in which the others get off theirs
-_GAP = 0.3  # [s] from letting go to striking, at most
+_BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over their keys
+_AFTER = 0.15  # [s] of it afterwards, in which the other fingers rise
+_GAP = 0.3  # [s] from release to strike, at most
 _AT_REST = 10.0  # [s] between two postures, so that the speed of the motion costs nothing
 _OCTAVE = 12
 
@@ -92,29 +94,29 @@ class KeyChange(NamedTuple):
     """A change of held keys: some are released, and others struck at once or soon after."""
 
     held_before: Held  # all keys that are held before
-    kept: Held  # the keys that were held before and are not released
+    held_through: Held  # the keys of these that are not released
     held_after: Held  # all keys that are held at the end
     gap: int  # the number of states from releasing to striking
 
     def lowered(self, keys: int) -> KeyChange:
         """This change, `keys` further down the keyboard."""
-        before, kept, after = (
+        before, through, after = (
             tuple((finger, key - keys) for finger, key in held) for held in self[:3]
         )
-        return KeyChange(before, kept, after, self.gap)
+        return KeyChange(before, through, after, self.gap)
 
 
 class Motions:
     """Postures of one hand around each change of the keys that it holds.
 
-    A motion is planned when it is first asked for, by inverse kinematics of this change alone: the
-    hand is at rest before it. It is the same in every octave but for the place of the forearm, and
-    does not depend on what else was asked for.
+    A motion is planned on first use, by inverse kinematics of this change alone, from a hand at
+    rest. It is the same in every octave except for the place of the forearm, and does not depend on
+    other changes.
 
     Attributes:
-        before: the number of states of a motion before the one in which keys have been released.
-        after: the number of states after the one in which others have been struck.
-        longest_gap: the maximum number of states between both.
+        before: the number of states of a motion before the state in which keys are released.
+        after: the number of states after the state in which keys are struck.
+        longest_gap: the maximum number of states between these two.
     """
 
     def __init__(self, scene: Scene, dt: float, progress: Progress = silent) -> None:
@@ -129,50 +131,53 @@ class Motions:
         (self._slide,) = self._servos.along_keyboard
         self.before, self.after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
         self.longest_gap = steps_in(_GAP, dt)
-        self._known: dict[KeyChange, Array] = {}
+        self._cache: dict[KeyChange, Array] = {}
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._cache)
 
     def of(self, change: KeyChange) -> Array:
-        """Postures (N, A) of a change: row 0 holds its first keys, which row `before` releases."""
-        pressed = [key for _, key in change.held_before + change.held_after]
-        up = self._octaves(pressed)
+        """Postures (N, A) of a change: row 0 holds the first keys, row `before` releases them."""
+        keys = [key for _, key in change.held_before + change.held_after]
+        up = self._octaves(keys)
         lowered = change.lowered(up)
-        if lowered not in self._known:
-            self._known[lowered] = self._planned(lowered)
+        if lowered not in self._cache:
+            self._cache[lowered] = self._posture_sequence(lowered)
             self._progress("motions", len(self), len(self))
-        key, centre = pressed[0], self._keyboard.centre[:, 1]
-        motion = self._known[lowered].copy()
+        key, centre = keys[0], self._keyboard.centre[:, 1]
+        motion = self._cache[lowered].copy()
         motion[:, self._slide] += centre[key] - centre[key - up]
         return motion
 
     def _octaves(self, keys: list[int]) -> int:
-        """Keys by which `keys` are above those in the middle for which their motion is planned."""
+        """Number of keys in the octaves between `keys` and the middle of the keyboard.
+
+        Motions are planned for keys in the middle.
+        """
         lowest = min(keys)
         room = self._keyboard.num_keys - (max(keys) - lowest)
         first = lowest % _OCTAVE
         return lowest - first - max((room // 2 - first) // _OCTAVE, 0) * _OCTAVE
 
-    def _planned(self, change: KeyChange) -> Array:
+    def _posture_sequence(self, change: KeyChange) -> Array:
         """Postures (N, A) of a change, by inverse kinematics of its presses."""
-        before, kept, after, gap = change
+        before, through, after, gap = change
         release, strike = self.before, self.before + gap
         end = strike + self.after + 1
-        here, there = self._place(before or after), self._place(after or before)
-        jumps = gap > 0 and abs(there - here) > self._scene.hand.jump_times.within_reach
+        start, goal = self._place(before or after), self._place(after or before)
+        jumps = gap > 0 and abs(goal - start) > self._scene.hand.jump_times.within_reach
         presses = []
         for finger, key in before:
-            stays = (finger, key) in kept
+            stays = (finger, key) in through
             last = release if not stays else end if (finger, key) in after else strike
             presses.append(Press(self._side, finger, key, 1, last, jumps_off=jumps))
         for finger, key in after:
-            if (finger, key) not in kept:
+            if (finger, key) not in through:
                 jumps_to = jumps and len(after) == 1
                 presses.append(Press(self._side, finger, key, strike, end, jumps_to=jumps_to))
         targets = targets_of(self._scene, presses, end, self._dt)
         guess = np.tile(self._rest, (end, 1))
-        guess[:, self._slide] = np.interp(np.arange(end), [0, strike], [here, there])
+        guess[:, self._slide] = np.interp(np.arange(end), [0, strike], [start, goal])
         guess[0] = self._holding(before, guess[0])
         return self._postures(targets, guess, self._dt)
 
@@ -197,22 +202,22 @@ def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_state
     Between two changes, the end of one motion is blended with the beginning of the next.
     """
     postures = np.empty((num_states, len(start)))
-    ending, since = start[None], 0
-    for leaves, change in changes_of(presses, num_states, motions.longest_gap):
+    tail, since = start[None], 0
+    for release, change in changes_of(presses, num_states, motions.longest_gap):
         motion = motions.of(change)
-        states = np.arange(since, leaves)
-        blended = max(leaves - motions.before, min(since + motions.after, leaves - 1))
-        share = np.minimum((states - since) / max(blended - since, 1), 1.0)[:, None]
-        coming = motion[np.maximum(states - leaves + motions.before, 0)]
-        postures[states] = (1 - share) * _row(ending, states - since) + share * coming
-        since = leaves + change.gap
-        postures[leaves:since] = motion[motions.before :][: change.gap]
-        ending = motion[motions.before + change.gap :]
-    postures[since:] = _row(ending, np.arange(num_states - since))
+        states = np.arange(since, release)
+        blend_end = max(release - motions.before, min(since + motions.after, release - 1))
+        share = np.minimum((states - since) / max(blend_end - since, 1), 1.0)[:, None]
+        next_motion = motion[np.maximum(states - release + motions.before, 0)]
+        postures[states] = (1 - share) * _at_states(tail, states - since) + share * next_motion
+        since = release + change.gap
+        postures[release:since] = motion[motions.before :][: change.gap]
+        tail = motion[motions.before + change.gap :]
+    postures[since:] = _at_states(tail, np.arange(num_states - since))
     return postures
 
 
-def _row(motion: Array, states: NDArray[np.intp]) -> Array:
+def _at_states(motion: Array, states: NDArray[np.intp]) -> Array:
     """Postures of a motion in `states`; after its end, the last one."""
     return motion[np.minimum(states, len(motion) - 1)]
 
@@ -220,33 +225,33 @@ def _row(motion: Array, states: NDArray[np.intp]) -> Array:
 def changes_of(
     presses: Sequence[Press], num_states: int, longest_gap: int
 ) -> Iterator[tuple[int, KeyChange]]:
-    """Changes of what one hand holds, and the states in which they begin, by time.
+    """Changes of the keys that one hand holds, and the states in which they begin, by time.
 
-    Releasing, and striking at most `longest_gap` states later, are one change.
+    A release and a strike at most `longest_gap` states later are one change.
     """
-    held = list(_held(presses, num_states))
+    queue = list(_chords(presses, num_states))
     before: Held = ()
-    while held:
-        state, then = held.pop(0)
-        later, after = state, then
-        if set(then) < set(before) and held and held[0][0] - state <= longest_gap:
-            later, after = held.pop(0)
-        kept = tuple(one for one in before if one in then)
-        yield state, KeyChange(before, kept, after, later - state)
+    while queue:
+        release, after_release = queue.pop(0)
+        strike, after = release, after_release
+        if set(after) < set(before) and queue and queue[0][0] - release <= longest_gap:
+            strike, after = queue.pop(0)
+        through = tuple(pair for pair in before if pair in after_release)
+        yield release, KeyChange(before, through, after, strike - release)
         before = after
 
 
-def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
-    """Each state in which one hand begins to hold other keys, by time, and these keys."""
-    struck, left = (defaultdict[int, set[tuple[int, int]]](set) for _ in range(2))
+def _chords(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
+    """States in which one hand begins to hold other keys, by time, and these keys."""
+    strikes, releases = (defaultdict[int, set[tuple[int, int]]](set) for _ in range(2))
     for press in presses:
         if press.first < press.last:
-            struck[press.first].add((press.finger, press.key))
-            left[press.last].add((press.finger, press.key))
+            strikes[press.first].add((press.finger, press.key))
+            releases[press.last].add((press.finger, press.key))
     down = set[tuple[int, int]]()
     before: Held = ()
-    for state in sorted(struck.keys() | left.keys()):
-        down = (down - left[state]) | struck[state]
+    for state in sorted(strikes.keys() | releases.keys()):
+        down = (down - releases[state]) | strikes[state]
         held = tuple(sorted(down))
         if held != before and state < num_states:
             yield state, held

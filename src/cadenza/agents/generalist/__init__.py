@@ -1,1 +1,1 @@
-"""An agent that has learnt from the planner how a plan has to be corrected as it is played."""
+"""An agent that has learnt from the planner how to correct a plan as it is played."""

@@ -1,9 +1,9 @@
-"""The generalist, which plays any score by its plan and networks that correct it, without search.
+"""The generalist, which plays any score by a plan that networks correct, without search.
 
-The plan is inverse kinematics of the song, with feedback. What goes wrong with such plans is much
-the same in all music: a finger is caught, a thumb comes late. Networks correct them, the same for
-both hands, which have learnt from the planner's search over many songs, and by reinforcement. With
-hands that they do not know, plans are rehearsed in simulation instead.
+The plan is inverse kinematics of the song, with feedback. Such plans fail in much the same ways in
+all music: a finger is caught, a thumb comes late. Networks correct this. They are the same for both
+hands, and have learnt from the planner's search over many songs, and by reinforcement. Hands that
+the networks do not know rehearse their plans in simulation instead.
 """
 
 from collections.abc import Sequence
@@ -92,16 +92,16 @@ class Generalist(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
         """Number of changes of each half second of the plan; with 0, networks correct it."""
         if self.config.rehearsals is not None:
             return self.config.rehearsals
-        learnt = self.config.weights is not None or knows_hands(scene)
-        return 0 if learnt else _DEFAULT_REHEARSALS
+        has_networks = self.config.weights is not None or knows_hands(scene)
+        return 0 if has_networks else _DEFAULT_REHEARSALS
 
     def _weights(self, scene: Scene) -> Weights:
         """Networks for the hands of a scene.
 
         Raises CadenzaError if there are none for them, or the file is damaged.
         """
-        own = self.config.weights
-        weights = shipped_for(scene) if own is None else Weights.load(Path(own))
+        path = self.config.weights
+        weights = shipped_for(scene) if path is None else Weights.load(Path(path))
         if weights is None:
             raise CadenzaError(
                 f"generalist: has not learnt to play with hand {scene.hand.name}; choose from "
@@ -118,14 +118,14 @@ class Generalist(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
 
 
 class SightReader(EpisodePlanner):
-    """A player of one song that knows only what is in sight.
+    """A player of one song that knows only the music in sight.
 
-    In sight are the goals of the step that it decides on and of the steps that it looks ahead: no
-    fingers, no ends of notes further ahead, not the length of the song.
+    In sight are the goals of the current step and of the steps that it looks ahead, but no fingers,
+    no later ends of notes, and not the length of the song.
     """
 
     def __init__(self, track: GoalTrack, start: State, look_ahead: float, weights: Weights) -> None:
-        """Plan what is in sight at the beginning: goals of the time `look_ahead` [s]."""
+        """Plan the music in sight at the beginning, `look_ahead` [s]."""
         dt = track.config.control_timestep
         self._track, self._goals = track, track.goals
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
@@ -137,14 +137,14 @@ class SightReader(EpisodePlanner):
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        while self._planned < step:  # once, unless others have played
-            self._hands.follow(self._plan_from(self._planned + 1, view.state), 0)
-        ctrl = self._hands.act(step - self._planned, view.state)
+        while self._first < step:  # once, unless another agent has acted meanwhile
+            self._hands.follow(self._plan_from(self._first + 1, view.state), 0)
+        ctrl = self._hands.act(step - self._first, view.state)
         return np.append(ctrl, self._goals.sustain[step])
 
     def _plan_from(self, step: int, state: State) -> SongPlan:
-        """Plan what is in sight at a step, which is the first of the plan."""
-        self._planned = step
+        """Plan the music in sight at a step, which is the first of the plan."""
+        self._first = step
         keys, _ = self._goals.at(step + self._ahead)
         strikes = self._strikes.by_place(step, step + len(keys))
         nominal = self._receding.replan(step, keys, strikes, state.fingertip_xpos[0])
@@ -152,37 +152,37 @@ class SightReader(EpisodePlanner):
 
 
 def shipped_for(scene: Scene) -> Weights | None:
-    """The networks that come with the package for the hands of a scene, if any do."""
+    """The networks that come with the package for the hands of a scene, None without any."""
     return shipped(_LEARNT).get(scene.hand.name)
 
 
 def knows_hands(scene: Scene) -> bool:
     """Whether the networks that come with the package have learnt to play with these hands."""
-    known = shipped_for(scene)
-    return known is not None and known.sizes == sizes_of(scene)
+    weights = shipped_for(scene)
+    return weights is not None and weights.sizes == sizes_of(scene)
 
 
 _REHEARSAL = RehearsalConfig(
     window=0.5, cost_after=0.5, updated_after=0.7, max_mistakes=1.0, refinements=3
 )
-_AS_FORESEEN = 1e-3  # [rad] that a key may be off where the rehearsal had it, to be as fast
+_AS_FORESEEN = 1e-3  # [rad] from the key's angle in the rehearsal, within which its speed is known
 
 
 class RehearsedHand:
     """A hand that plays a plan.
 
-    It rehearses by itself, from the state that it is in when the half second begins. What it does
-    not foresee, such as that it touches the other hand, is left to feedback until then.
+    It rehearses each half second by itself, from its state when the half second begins. Within it,
+    feedback makes up for what the rehearsal does not foresee, such as contact with the other hand.
 
     Attributes:
-        servos: the hand's servos among all of the scene.
-        joints: the hand's joints among all of the scene.
+        servos: the hand's servos among those of the scene.
+        joints: the hand's joints among those of the scene.
         rehearsal: the rehearsal of the current half second.
         lookahead: the number of steps of the plan that are needed.
     """
 
     def __init__(self, plan: SongPlan, side: Side, rehearsals: int) -> None:
-        """Follow a plan, and change each half second of it `rehearsals` times at most."""
+        """Follow a plan, and change each half second of it at most `rehearsals` times."""
         dt = plan.track.config.control_timestep
         self._side = side
         alone, self.servos, self.joints = hand_alone(plan.scene, side)
@@ -193,7 +193,7 @@ class RehearsedHand:
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Continue from `step` on with a plan that goes further."""
+        """Continue from `step` on with a longer plan."""
         self._goals = HandGoals(plan, self._side)
         tracking = plan.nominal.tracking.of(self.servos)
         self._tracking = tracking._replace(ctrl=tracking.ctrl.copy())
@@ -212,14 +212,17 @@ class RehearsedHand:
         """Rehearse the steps from `step` on."""
         last = min(step + self.rehearsal.lookahead, len(self._tracking.ctrl))
         rows = np.arange(step, last)
-        if step == self.rehearsal.end:  # the one before has found how to begin
-            known = self.rehearsal.tail
-            self._tracking.ctrl[step : step + len(known)] = known
+        if step == self.rehearsal.end:  # the last rehearsal has changed the first of these steps
+            tail = self.rehearsal.tail
+            self._tracking.ctrl[step : step + len(tail)] = tail
         self.rehearsal.rehearse(self._goals, self._tracking, rows, self._simulation)
 
     def _key_qvel(self, key_qpos: Array) -> Array:
-        """Speeds (K,) of keys at (K,), which are in no state, as far as they were foreseen."""
+        """Speeds (K,) of keys at `key_qpos` (K,), which no sensor measures.
+
+        They are those of the rehearsal where its keys are here, and 0 elsewhere.
+        """
         speeds, keys = np.zeros_like(key_qpos), self.rehearsal.keys
-        there, speed = self.rehearsal.keys_at_end
-        speeds[keys] = np.where(np.abs(key_qpos[keys] - there) < _AS_FORESEEN, speed, 0.0)
+        qpos, qvel = self.rehearsal.keys_at_end
+        speeds[keys] = np.where(np.abs(key_qpos[keys] - qpos) < _AS_FORESEEN, qvel, 0.0)
         return speeds

@@ -1,9 +1,9 @@
-"""Receding-horizon plans of a song whose next half second, or the next two, are known.
+"""Receding-horizon plans of a song of which only the next half second, or two, are known.
 
 Fingers, presses, postures and controls are found as for a whole song, but again at every step for
-what is in sight then. Each time postures begin with those of the plan before, which two steps of
-Gauss-Newton improve: what is still lacking, the plans that follow make up for
-(real-time iterations: Diehl, Bock & Schlöder, SIAM Journal on Control and Optimization 43, 2005).
+the music then in sight. Two Gauss-Newton steps improve the postures of the last plan; later plans
+continue from there (real-time iterations: Diehl, Bock & Schlöder, SIAM Journal on Control and
+Optimization 43, 2005).
 """
 
 from collections.abc import Mapping
@@ -26,20 +26,20 @@ from cadenza.fingering.players import Players
 from cadenza.fingers import NO_FINGER
 from cadenza.scene.scene import Scene
 
-# How far ahead, as far as it is in sight.
+# How far it plans ahead, within sight.
 _POSTURES_AHEAD = 0.6  # [s]
 _CONTROLS_AHEAD = 0.3  # [s]
-_PRESSES_AHEAD = 1.3  # [s] whose presses matter to postures
-_REMEMBERED = 0.5  # [s] of the past whose presses matter to them
+_PRESSES_AHEAD = 1.3  # [s] of presses that influence postures
+_REMEMBERED = 0.5  # [s] of past presses that do
 
-# Gauss-Newton, usually and where a finger is lifted, which has far to go: derivatives that are kept
-# take 0.7 of the time.
+# Gauss-Newton, usually and for a lifted finger, which has far to go. Keeping derivatives takes 0.7
+# of the time.
 _LIFTED = SolverOptions(max_iterations=2, max_trials=0, tolerance=0.1, damping=10.0)
 _USUAL = _LIFTED._replace(damping=20.0, keep_derivatives=True)
-_SETTLED = 0.1  # of what is in sight, in which fingers do not change
+_SETTLED = 0.1  # share of the music in sight in which fingers no longer change
 _ONSETS_AT_ONCE = 12  # for which fingers are found together
-# A finger that is caught is lifted, and presses again.
-_CAUGHT = 0.012  # [m] beside where it should press
+# A caught finger is lifted, and presses again.
+_CAUGHT = 0.012  # [m] beside its target
 _LIFT_TIME = 0.15  # [s] until it presses again
 _RETRY_TIME = 0.3  # [s] until it may be lifted once more
 
@@ -52,14 +52,14 @@ class _SightedNote:
     number: int
     first: int
     last: int | None = None
-    """The step from which on it is not held; None as long as that is not in sight."""
+    """The step from which on it is not held; None while that is out of sight."""
     finger: int = NO_FINGER
 
 
 class RecedingPlanner:
-    """A planner that plans at every step what is in sight then.
+    """A planner that plans the music in sight at every step.
 
-    A finger that is not where it should press is lifted above all keys, and presses again.
+    A finger that is caught beside its key is lifted above all keys, and presses again.
     """
 
     def __init__(
@@ -69,11 +69,11 @@ class RecedingPlanner:
         self._scene, self._dt, self._motion = scene, dt, motion
         self._fingers = OnlineFingering(players, _ONSETS_AT_ONCE)
         self._notes: list[_SightedNote] = []
-        self._held: dict[int, _SightedNote] = {}  # by key, at the end of what was seen
+        self._held: dict[int, _SightedNote] = {}  # by key, at the end of the music seen so far
         self._seen = 0
-        self._lifted: dict[tuple[int, int], int] = {}  # finger and key, and since when
+        self._lifted: dict[tuple[int, int], int] = {}  # (finger, key) -> the step of the lift
         self._blas = ThreadpoolController()
-        self._plan = self._motion.still(hand_qpos, 0)  # from its first step on, as what follows
+        self._plan = self._motion.still(hand_qpos, 0)
         self._solved: PostureTrajectory | None = None
 
     def replan(
@@ -83,7 +83,7 @@ class RecedingPlanner:
         strikes: Mapping[tuple[int, int], Strike],
         tips: Array,
     ) -> NominalTrajectory:
-        """Plan what is in sight at a step; the plan's first step is this one.
+        """Plan the music in sight at a step, which is the first of the plan.
 
         Args:
             step: the step of the song: 0, then always the next.
@@ -98,7 +98,7 @@ class RecedingPlanner:
             min(len(keys), steps_in(seconds, self._dt))
             for seconds in (_PRESSES_AHEAD, _POSTURES_AHEAD, _CONTROLS_AHEAD)
         )
-        begin = step - past - 1  # the step that leads to state 0 of the presses
+        begin = step - past - 1  # the step before state 0 of the presses
         presses = [
             press._replace(strike=strikes.get((begin + press.first, press.key)))
             for press in self._motion.presses(self._fingering(step, past, horizon))
@@ -110,7 +110,7 @@ class RecedingPlanner:
             presses = self._lift_caught(presses, step, past, tips, before.fingertips[1])
             options = _LIFTED if self._lifted else _USUAL
             warm_start = self._solved.correction[2:]
-            warm_start = np.concatenate([warm_start, warm_start[-1:]])  # as far as is planned now
+            warm_start = np.concatenate([warm_start, warm_start[-1:]])
         with self._blas.limit(limits=1):  # as in `MotionPlanner.plans`
             solved = self._motion.solve(
                 before, presses, past, past + ahead, warm_start=warm_start, options=options
@@ -121,33 +121,33 @@ class RecedingPlanner:
         return self._plan
 
     def _lift_caught(
-        self, presses: list[Press], step: int, now: int, tips: Array, planned: Array
+        self, presses: list[Press], step: int, now: int, tips: Array, planned_tips: Array
     ) -> list[Press]:
-        """Presses, which begin again from above where a finger is caught elsewhere.
+        """Presses, in which fingers that are caught begin again from above.
 
-        `now` is the state before the step, as presses count them. Fingertips are at `tips` (F, 3);
-        those of the hands in the scene were to be at `planned` (F', 3) [m].
+        `now` is the state before the step, as presses count states. Fingertips are at `tips`
+        (F, 3); the plan has those of the hands in the scene at `planned_tips` (F', 3) [m].
         """
-        there, off = self._scene.present_fingers, np.zeros(len(tips))
-        off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)
+        present, error = self._scene.present_fingers, np.zeros(len(tips))
+        error[present] = np.hypot(*(tips[present] - planned_tips)[:, :2].T)
         lift, wait = steps_in(_LIFT_TIME, self._dt), steps_in(_RETRY_TIME, self._dt)
-        lifted = {press: since for press, since in self._lifted.items() if step < since + wait}
+        lifts = {press: since for press, since in self._lifted.items() if step < since + wait}
         result = []
         for press in presses:
-            place = press.finger, press.key
+            finger_and_key = press.finger, press.key
             if press.first <= now < press.last:
-                if off[press.finger] > _CAUGHT:
-                    lifted.setdefault(place, step)
-                if place in lifted:
-                    first = max(press.first, now + lifted[place] + lift - step)
+                if error[press.finger] > _CAUGHT:
+                    lifts.setdefault(finger_and_key, step)
+                if finger_and_key in lifts:
+                    first = max(press.first, now + lifts[finger_and_key] + lift - step)
                     press = press._replace(first=first, from_above=True, strike=None)
             if press.first < press.last:
                 result.append(press)
-        self._lifted = lifted
+        self._lifted = lifts
         return result
 
     def _update_notes(self, step: int, keys: NDArray[np.bool_]) -> None:
-        """Begin and end notes in what was not in sight before."""
+        """Begin and end notes in the steps that have come into sight."""
         dt = self._dt
         for now, row in enumerate(keys[self._seen - step :], start=self._seen):
             down = set(np.flatnonzero(row).tolist())
@@ -162,7 +162,7 @@ class RecedingPlanner:
         self._seen = step + len(keys)
 
     def _find_fingers(self, settled: int) -> None:
-        """Find fingers of notes, and settle them for notes that begin before a step."""
+        """Find fingers of notes; those of notes before the step `settled` change no more."""
         fingers = self._fingers.find(settled * self._dt)
         for note in self._notes:
             if note.number in fingers:

@@ -4,17 +4,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 ENOUGH = 8.0
-"""Effort of practice after which more gains little. It takes about 25 times as long as the music on
+"""Effort of practice beyond which little is gained. It takes about 25 times as long as the music on
 one core, and half of that on two."""
 
 
 PLANNING_TIMESTEPS = 1e-4, 0.1
-"""The least and the most [s], which keep rollouts short and the simulation stable."""
+"""Minimum and maximum [s], which keep rollouts short and the simulation stable."""
 
 
 @dataclass(frozen=True)
 class PredictiveSamplingConfig:
-    """Predictive sampling. The defaults are the paper's, which plans for longer, see budget."""
+    """Predictive sampling. The defaults are the paper's, except for its budget."""
 
     num_candidates: int = 10
     """Candidate plans per iteration, including the best one so far."""
@@ -60,19 +60,19 @@ class PlannerConfig:
     """The planner: inverse kinematics of the song, refined by sampling."""
 
     fingering: Literal["found", "score"] = "found"
-    """Fingering to plan with. found: what suits these hands. score: the score's, where it has
-    any."""
+    """Fingering to plan with. found: one that suits these hands. score: that of the score, where it
+    has any."""
     method: Refinement = "predictive-sampling"
     """How the plan is refined. With none, the plan is executed with feedback only."""
     num_candidates: int = 6
-    """Candidate plans that are drawn per hand and iteration, where the plan makes mistakes. Some
-    that are not drawn are tried as well."""
+    """Random candidate plans per hand and iteration, where the plan makes mistakes. Some others are
+    tried as well."""
     iterations: int = 3
     """Maximum iterations of sampling per control step. It stops when a plan makes no mistake."""
     horizon: float = 0.35
     """Planning horizon [s]."""
     proposals: Literal["learnt", "none"] = "learnt"
-    """learnt: a search begins with what networks would do, where they have learnt to play with such
+    """learnt: a search begins with the controls of networks, where there are some for these
     hands."""
     effort: float = 0.0
     """Effort of practice before playing: 1 is 100 simulated control steps for each control step of

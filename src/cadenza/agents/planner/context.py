@@ -1,4 +1,4 @@
-"""Options and resources that are passed down to all that plan and practise a song."""
+"""Options and resources that planning and practice of a song share."""
 
 from typing import NamedTuple
 

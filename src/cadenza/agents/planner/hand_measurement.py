@@ -1,7 +1,7 @@
-"""What planners need to know of a hand: how it sits over the keys, and how far its fingers reach.
+"""Measurement of a hand from a file: how it sits over the keys, and how far its fingers reach.
 
-Postures come from `scipy.optimize.least_squares`, in which forearms slide where they like. They may
-pass through each other, so that `least` is never less than between neighbouring keys.
+Postures are found by `scipy.optimize.least_squares`, with forearms free to slide. As fingers may
+pass through each other there, `least` is bounded by the distance of neighbouring keys.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,15 +25,15 @@ from cadenza.scene.scene import build_scene
 
 Array = NDArray[np.float64]
 
-_ABOVE = 0.003  # [m] that fingers stay above the keys if they do not press
+_ABOVE = 0.003  # [m] from the keys to fingers that do not press
 _TOLERANCE = 0.003  # [m]
-_SLOW = 0.07  # [s] damping by stiffness, from which the planner times no strikes
-_STEP = 0.0025  # [m] between the distances that are tried
+_SLOW = 0.07  # [s] damping by stiffness, above which the planner does not time strikes
+_STEP = 0.0025  # [m] between the distances to try
 _STARTS = 3
-_LIGHT, _LIGHTEST = 3e-3, 3e-4  # [m] off for a servo that is at its ease from rest
+_LIGHT, _LIGHTEST = 3e-3, 3e-4  # [m] residual of a servo that is as far from rest as its ease
 _SIDE_BY_SIDE = 0.0115  # [m] between a white key and the black one beside it
 
-# Of a hand over the keys; lengths in [m], angles in [rad]. Behind each is the error that costs 1.
+# Of a hand over the keys; lengths in [m], angles in [rad]. Each is followed by the error of cost 1.
 _HOVER, _HOVER_OFF = 0.01, 0.0005  # of fingertips above white keys
 _PRESSES_AT, _AT_OFF = 0.047, 0.02  # from the middle of white keys
 _CLEAR_OF_BLACK, _FARTHEST, _BEYOND_OFF = 0.017, 0.071, 0.001  # edges of tips, and their middles
@@ -42,11 +42,11 @@ _ALONG_OFF = 0.003  # along and across the key, from above it to where the finge
 _ROOM, _ROOM_OFF = 0.024, 0.003  # of all else above white keys, so that it is over black ones
 _STEEP, _STEEP_THUMB, _STEEP_OFF = 0.85, 0.3, 0.3  # how far last links point down, of 1
 _ASIDE_OFF = 0.6  # how far they point to a side
-_MARGIN, _MARGIN_OFF = 0.1, 0.03  # of the range of a joint that is kept to either end
+_MARGIN, _MARGIN_OFF = 0.1, 0.03  # margin at both ends of a joint's range, as a share of it
 _TILT_OFF, _BENT_OFF = 5.0, 10.0  # of the palm, and of joints from where the search begins
 _LIFT, _MAX_LIFT = 0.02, 0.6  # by the servo that lifts a finger: of its tip, and of its joint
 _PALM_AT = np.array([0.0, 0.0, 0.2])  # in the forearm's frame, where the search begins
-_ROAM = np.array([0.06, 0.12, 0.25, 0.7])  # that place and tilt may go from there
+_MAX_SHIFT = np.array([0.06, 0.12, 0.25, 0.7])  # of place and tilt from there
 _TO_WORLD = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])  # from the forearm's frame
 
 
@@ -59,23 +59,25 @@ def place(path: Path) -> tuple[HandFile, Measurement]:
     """
     file = HandFile(path)
     hand = file.hand(Measurement(_vector(_PALM_AT), _quat(file.flat)))
-    over = _OverKeys(hand)
+    problem = _HoverProblem(hand)
     rng, best = np.random.default_rng(0), None
     for attempt in range(2 * _STARTS):
-        start = over.middle.copy()
+        start = problem.middle.copy()
         if attempt:
-            start[:4] = rng.uniform(-_ROAM, _ROAM) / 2
-            start[4:] = np.tile(rng.uniform(*over.ranges), 2)
-        found = least_squares(over.residual, start, bounds=(over.low, over.high), max_nfev=200)
-        best = found if best is None or found.cost < best.cost else best
+            start[:4] = rng.uniform(-_MAX_SHIFT, _MAX_SHIFT) / 2
+            start[4:] = np.tile(rng.uniform(*problem.ranges), 2)
+        solution = least_squares(
+            problem.residual, start, bounds=(problem.low, problem.high), max_nfev=200
+        )
+        best = solution if best is None or solution.cost < best.cost else best
     assert best is not None
-    above, pressing = over.halves(best.x)
-    tips, pressed = over.points(above)[:, -1], over.points(pressing)[:, -1]
+    above, pressing = problem.halves(best.x)
+    tips, pressed = problem.points(above)[:, -1], problem.points(pressing)[:, -1]
     if not (np.diff(tips[:, 1]) > 0).all():
         raise CadenzaError(
             f"{path}: the fingers do not lie from left to right; give a right hand, thumb first"
         )
-    for finger, error in zip(hand.fingers, over.errors(best.x), strict=True):
+    for finger, error in zip(hand.fingers, problem.errors(best.x), strict=True):
         if error > _TOLERANCE:
             raise CadenzaError(
                 f"{path}: finger {finger.name} does not come to white keys with the others: it "
@@ -85,8 +87,8 @@ def place(path: Path) -> tuple[HandFile, Measurement]:
     return file, Measurement(
         pos=_vector(_PALM_AT + palm),
         quat=_quat(_tilted(tilt) @ file.flat),
-        rest=dict(zip(over.names, angles, strict=True)),
-        lift=over.lifts(above),
+        rest=dict(zip(problem.names, angles, strict=True)),
+        lift=problem.lifts(above),
         on_white={
             finger.name: round(float(tip[0]), 4)
             for finger, tip in zip(hand.fingers, pressed, strict=True)
@@ -95,10 +97,11 @@ def place(path: Path) -> tuple[HandFile, Measurement]:
     )
 
 
-class _OverKeys:
-    """The residual of a right hand over white keys: of place and tilt of its palm, and S servos.
+class _HoverProblem:
+    """Least squares for a right hand with S servos that hovers over white keys, and presses them.
 
-    The variables u (4 + 2 S,) are place, tilt, servos above the keys, and servos while all press.
+    The variables u (4 + 2 S,) are place and tilt of the palm, the servos while all fingers hover,
+    and the servos while all press.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -106,15 +109,18 @@ class _OverKeys:
         self._kinematics = Kinematics(scene)
         servos, white = self._kinematics.servos, scene.keyboard.white
         self._top, self._half_length, self._travel = white.top, white.half_size[0], white.travel
-        self._own = np.array([name in hand.servos for name in servos.names])
+        self._of_hand = np.array([name in hand.servos for name in servos.names])
         self.names = [name for name in servos.names if name in hand.servos]
-        self.ranges = low, high = servos.low[self._own], servos.high[self._own]
-        self.low, self.high = np.array([*-_ROAM, *low, *low]), np.array([*_ROAM, *high, *high])
+        self.ranges = low, high = servos.low[self._of_hand], servos.high[self._of_hand]
+        self.low, self.high = (
+            np.array([*-_MAX_SHIFT, *low, *low]),
+            np.array([*_MAX_SHIFT, *high, *high]),
+        )
         third = (high - low) / 3  # of a finger that is neither straight nor a fist
         bent = np.clip(0.0, low + third, high - third)
         self.middle = np.array([0.0, 0.0, 0.0, 0.0, *bent, *bent])
         self._rest = rest_posture(servos)
-        self._finger = servos.finger[self._own]
+        self._finger = servos.finger[self._of_hand]
         mount = scene.model.body(prefix("right") + FOREARM).pos
         forwards = SERVOS[FORWARDS].rest
         self._palm = mount + _TO_WORLD @ (_PALM_AT + np.array([0.0, 0.0, forwards]))
@@ -124,30 +130,30 @@ class _OverKeys:
         self._apart = np.maximum(_KEY, wide[1:] + wide[:-1] + _GAP)
 
     def halves(self, u: Array) -> tuple[Array, Array]:
-        """(4 + S,) place, tilt and servos above the keys, and of the same hand while all press."""
+        """(4 + S,) each: place, tilt and servos while all fingers hover, and while all press."""
         count = len(self.names)
         return u[: 4 + count], np.concatenate([u[:4], u[4 + count :]])
 
     def points(self, u: Array) -> Array:
         """(F, P, 3) the points of the fingers in the world [m], of one half of the variables."""
-        self._rest[self._own] = u[4:]
+        self._rest[self._of_hand] = u[4:]
         flat = self._kinematics.links(self._rest[None]).points[0, 0] - self._palm
         turn = _TO_WORLD @ _tilted(u[3]) @ _TO_WORLD.T
         turned: Array = flat @ turn.T + self._palm + _TO_WORLD @ u[:3]
         return turned
 
     def errors(self, u: Array) -> Array:
-        """(F,) how far fingertips are from where they may hover over white keys and press [m]."""
+        """(F,) distances of fingertips from where they should hover and press [m]."""
         tips, pressed = (self.points(half)[:, -1] for half in self.halves(u))
         off = (
             tips[:, 2] - self._top - self._radii - _HOVER,
-            self._deep(pressed),
+            self._height_error(pressed),
             _beyond(pressed[:, 0], self._nearest, _FARTHEST),
         )
         return np.abs(off).max(axis=0)
 
-    def _deep(self, tips: Array) -> Array:
-        """(F,) how far tips (F, 3) are above where they hold down white keys [m]."""
+    def _height_error(self, tips: Array) -> Array:
+        """(F,) heights of tips (F, 3) above those of pressed white keys [m]."""
         fall = (self._half_length + tips[:, 0]) * np.tan(self._travel)
         above: Array = tips[:, 2] - self._top - self._radii + fall
         return above
@@ -162,7 +168,7 @@ class _OverKeys:
         return np.concatenate([
             (tips[:, 2] - self._top - self._radii - _HOVER) / _HOVER_OFF,
             (tips[:, 0] - _PRESSES_AT) / _AT_OFF,
-            self._deep(pressed) / _HOVER_OFF,
+            self._height_error(pressed) / _HOVER_OFF,
             _beyond(pressed[:, 0], self._nearest, _FARTHEST) / _BEYOND_OFF,
             (pressed - tips)[:, :2].ravel() / _ALONG_OFF,
             (np.diff(tips[:, 1]) - self._apart) / _APART_OFF,
@@ -177,13 +183,13 @@ class _OverKeys:
         ])  # fmt: skip
 
     def lifts(self, u: Array) -> dict[str, float]:
-        """For each finger, the servo that lifts its tip fastest, and how far it is to turn."""
+        """Servo that lifts each fingertip fastest -> the turn that lifts it by `_LIFT`."""
         at_rest, lifts = self.points(u)[:, -1, 2], dict[str, float]()
         for finger in range(len(at_rest)):
             servos = np.flatnonzero(self._finger == finger)
             moved = np.tile(u, (len(servos), 1))
             moved[np.arange(len(servos)), 4 + servos] += _BENT_OFF / 1000
-            rates = [self.points(each)[finger, -1, 2] - at_rest[finger] for each in moved]
+            rates = [self.points(moved_u)[finger, -1, 2] - at_rest[finger] for moved_u in moved]
             if not rates:
                 continue
             best = int(np.argmax(np.abs(rates)))
@@ -238,26 +244,26 @@ class ReachMeasurement:
                 yield f"{name} lags by {1000 * lag:.0f} ms, and strikes late; see damping and kp"
 
     def measure(self, advance: Callable[[int, int], None]) -> dict[ReachField, Array]:
-        """The fields of `Reach` that are measured; `advance` is told how many fingers and pairs.
+        """The measured fields of `Reach`.
 
-        Raises CadenzaError if a finger cannot press with all others, or no two of them reach two
-        keys.
+        `advance` receives the number of fingers and pairs done, and in all. Raises CadenzaError if
+        not all fingers can press at once, or no two of them reach two keys.
         """
-        everyone = tuple(self._fingers)
+        all_fingers = tuple(self._fingers)
         q = self._rest
         for weight in (_LIGHT, _LIGHTEST):
-            q = self._posture(everyone, None, q, weight)
-            if self._presses(q, everyone, None):
+            q = self._posture(all_fingers, None, q, weight)
+            if self._presses(q, all_fingers, None):
                 break
         else:
             raise CadenzaError(self._misses(q))
-        count = len(everyone)
+        count = len(all_fingers)
         rest = self._tips(q)[0][:, 1] - self._forearm_y(q)
         outward, inward, most = np.zeros(count), np.zeros(count), np.zeros((count, count))
         least = _SIDE_BY_SIDE * np.maximum(np.arange(count) - np.arange(count)[:, None], 0)
-        chosen = [*combinations(everyone, 1), *combinations(everyone, 2)]
-        for number, fingers in enumerate(chosen):
-            advance(number, len(chosen))
+        groups = [*combinations(all_fingers, 1), *combinations(all_fingers, 2)]
+        for number, fingers in enumerate(groups):
+            advance(number, len(groups))
             apart = self._distance(q, fingers)
             start = self._posture(fingers, apart, q, _LIGHTEST)
             last = least[fingers] if len(fingers) > 1 else -np.inf
@@ -269,10 +275,10 @@ class ReachMeasurement:
                 least[fingers], most[fingers] = max(least[fingers], low), high
         if count > 1 and most.max() < _KEY:
             raise CadenzaError(f"hand {self._name}: no two fingers reach two white keys")
-        found: dict[ReachField, Array] = {
+        fields: dict[ReachField, Array] = {
             "rest": rest, "least": least, "most": most, "outward": outward, "inward": inward
         }  # fmt: skip
-        return {name: values.round(4) + 0.0 for name, values in found.items()}
+        return {name: values.round(4) + 0.0 for name, values in fields.items()}
 
     def _tips(self, q: Array) -> tuple[Array, Array]:
         """(F, 3) fingertips in the world [m], and their Jacobian (F, 3, A)."""
@@ -284,14 +290,14 @@ class ReachMeasurement:
         return self._mount + float(q[self._slide])
 
     def _distance(self, q: Array, fingers: tuple[int, ...]) -> float:
-        """The distance from the first to the last fingertip; of one, from the forearm [m]."""
+        """Distance from the first to the last fingertip; of one finger, from the forearm [m]."""
         y = self._tips(q)[0][list(fingers), 1]
         return float(y[-1] - (y[0] if len(fingers) > 1 else self._forearm_y(q)))
 
     def _posture(
         self, fingers: tuple[int, ...], apart: float | None, start: Array, weight: float
     ) -> Array:
-        """Servos with which `fingers` press at a distance if given, by `weight` near rest."""
+        """Servos with which `fingers` press, `apart` [m] if given; `weight` pulls them to rest."""
         pressing = list(fingers)
         others = [f for f in self._fingers if f not in fingers]
         light = weight / self._ease
@@ -309,7 +315,7 @@ class ReachMeasurement:
                 parts.append([self._distance(q, fingers) - apart])
             return np.concatenate(parts)
 
-        def slope(q: Array) -> Array:
+        def derivatives(q: Array) -> Array:
             tips, jacobian = self._tips(q)
             below = tips[others, 2] < self._clear_z[others]
             parts = [
@@ -328,8 +334,8 @@ class ReachMeasurement:
             return np.concatenate(parts)
 
         bounds = (self._low - 1e-9, self._high + 1e-9)
-        found: Array = least_squares(residual, start, slope, bounds=bounds).x
-        return found
+        solution: Array = least_squares(residual, start, derivatives, bounds=bounds).x
+        return solution
 
     def _presses(self, q: Array, fingers: tuple[int, ...], apart: float | None) -> bool:
         tips, pressing = self._tips(q)[0], list(fingers)
@@ -345,21 +351,21 @@ class ReachMeasurement:
     def _extreme(
         self, fingers: tuple[int, ...], q: Array, apart: float, step: float, last: float
     ) -> float:
-        """The last distance from `apart` on, in steps, at which `fingers` press, or past `last`."""
+        """Extreme distance at which `fingers` press, from `apart` in steps until past `last`."""
         rng = np.random.default_rng(0)
         while step * (last - apart) > 0:
             for attempt in range(_STARTS):
                 start = q if not attempt else rng.uniform(self._low, self._high)
-                found = self._posture(fingers, apart + step, start, _LIGHTEST)
-                if self._presses(found, fingers, apart + step):
-                    q, apart = found, apart + step
+                posture = self._posture(fingers, apart + step, start, _LIGHTEST)
+                if self._presses(posture, fingers, apart + step):
+                    q, apart = posture, apart + step
                     break
             else:
                 break
         return apart
 
     def _misses(self, q: Array) -> str:
-        """Say which fingers do not press where all should."""
+        """Message on the fingers that do not press in a posture of all."""
         tips = self._tips(q)[0]
         off = [
             f"{name} stays {1000 * up:.0f} mm above a pressed key, "
@@ -373,7 +379,7 @@ class ReachMeasurement:
 
 
 def _beyond(values: Array, low: Array | float, high: float) -> Array:
-    """How far values are beyond a range, below 0 under its lower end."""
+    """Excess of values beyond a range, negative under its lower end."""
     return values - np.clip(values, low, high)
 
 

@@ -1,16 +1,16 @@
-"""Diagnosis of a planned performance: the notes that it lost, and why, in plain words.
+"""Diagnosis of a planned performance: the notes that were lost, and why, in plain words.
 
-A note is a stretch of steps over which a key should sound without a break. It is lost where it
-never sounded, sounded more than `_IN_TIME` late, or was let go more than that early. Of these rules
-the first that holds says why it did not sound, or late:
+A note is a stretch of steps over which a key should sound without a break. It is lost if it never
+sounded, sounded more than `_IN_TIME` late, or was let go more than that early. If it did not sound
+in time, the first of these rules that holds gives the cause:
 
 1. no finger: the fingering left it out, or gave it to a hand that is not there.
-2. key not released: the key still sounded from the note before, or was silent too shortly to be
-   heard as struck again.
-3. finger needed elsewhere: the plan holds the key for `_SHORTEST` at most and less than wanted,
+2. key not released: the key still sounded from the note before, or was silent for too short a time
+   for another onset to be heard.
+3. finger needed elsewhere: the plan holds the key for at most `_SHORTEST`, and less than written,
    because its finger, or the whole hand, has to be elsewhere soon.
-4. neighbouring key struck: up to two keys away another began to sound at about that time, with the
-   finger nearer to that key than to its own.
+4. neighbouring key struck: a key at most two keys away began to sound at about that time, and the
+   finger was nearer to it than to its own.
 5. collided: the finger was not over its key and more than `_ASTRAY` from where the plan has it,
    and another fingertip, or the other forearm, was within `_TOUCHING` of touching.
 6. out of reach: the plan itself has the finger beside the key.
@@ -18,11 +18,10 @@ the first that holds says why it did not sound, or late:
 8. finger beside the key: the finger was not over its key, and none of the above.
 9. key not pressed far enough: the finger was over the key, which did not reach its stop.
 
-Of a note that was let go early, the finger was needed elsewhere where the plan says so; otherwise
-it left the key ("finger beside the key"), or the key came up under it ("key not held down").
+If a note was let go early, the finger was needed elsewhere by the plan, left the key ("finger
+beside the key"), or the key came up under it ("key not held down").
 
-These are rules about where things were, not proofs of what caused what: of several troubles, the
-list names one.
+The rules look at positions; they do not prove causes, and name one cause of several.
 """
 
 from collections import defaultdict
@@ -52,7 +51,7 @@ _ASTRAY = 0.01  # [m] off the plan, nearly half a key
 _TOUCHING = 0.003  # [m] between surfaces: they may have touched within the step
 _FAST = 0.7  # [m/s] along the keyboard in the plan, just before the key is struck
 _NEAR = 2  # keys to either side that a finger may strike instead of its own
-_COMING = 0.2  # [s] within which a finger that is late is seen to come
+_COMING = 0.2  # [s] within which a late finger arrives
 _ROUNDING = 1e-6  # of a step
 _STRIDE = 0.1  # [s] over which its speed is taken
 
@@ -88,9 +87,9 @@ def misses_of(episode: Episode, plan: SongPlan) -> list[Miss]:
 def foreseen_misses(track: GoalTrack) -> float:
     """Share of the notes of a song that are lost before anything moves, from 0 to 1.
 
-    They are those of the rules 1 and 3, which need no more than fingers and presses: a tenth of a
-    second for a thousand notes. Motion loses some more, and saves some that are let go early.
-    Raises CadenzaError if there are no hands in the scene.
+    Rules 1 and 3 need fingers and presses alone: a tenth of a second for a thousand notes. Motion
+    loses some more notes, and saves some that are let go early. Raises CadenzaError if there are no
+    hands in the scene.
     """
     scene, track, dt = planning_scene(track), track.fingered(), track.config.control_timestep
     goals = track.goals
@@ -112,7 +111,7 @@ def _is_cut(press: Press, note: _GoalNote, dt: float) -> bool:
 
 
 class _Diagnosis:
-    """The rules, and the arrays of an episode that they look at."""
+    """The rules, and the arrays of an episode that they need."""
 
     def __init__(self, episode: Episode, plan: SongPlan) -> None:
         nominal, self._keyboard = plan.nominal, plan.scene.keyboard
@@ -122,21 +121,21 @@ class _Diagnosis:
         self._dt, self._steps = episode.dt, episode.num_steps
         self._in_time = steps_in(_IN_TIME, self._dt)
         self._goal, self._played = episode["goal_keys"], episode["key_activation"]
-        self._begun = defaultdict[int, list[int]](list)  # the steps in which keys began to sound
-        for played in played_in(episode).notes:
-            key = played.pitch - self._keyboard.lowest_pitch
-            self._begun[key].append(int(played.start / self._dt + _ROUNDING))
+        self._onsets = defaultdict[int, list[int]](list)  # key -> the steps of its onsets
+        for note in played_in(episode).notes:
+            key = note.pitch - self._keyboard.lowest_pitch
+            self._onsets[key].append(int(note.start / self._dt + _ROUNDING))
         self._depth = key_state(episode["key_qpos"], self._keyboard.travel)
         self._tips = episode["fingertip_xpos"]
-        self._there = plan.scene.has_fingers(np.arange(self._numbers.count))
+        self._is_present = plan.scene.has_fingers(np.arange(self._numbers.count))
         self._radii = np.array([f.tip_radius for f in plan.scene.hand.fingers * len(SIDES)])
-        self._planned = np.zeros((len(nominal.fingertips), self._numbers.count, 3))
-        self._planned[:, self._there] = nominal.fingertips
+        self._planned_tips = np.zeros((len(nominal.fingertips), self._numbers.count, 3))
+        self._planned_tips[:, self._is_present] = nominal.fingertips
         self._presses = {(press.key, press.first - 1): press for press in nominal.presses}
         self._of_finger = defaultdict[int, list[Press]](list)
         for press in nominal.presses:
             self._of_finger[press.finger].append(press)
-        self._left_out = _left_out(plan.track)
+        self._reasons_without_finger = _reasons_without_finger(plan.track)
         self._forearms = _forearms_apart(episode)
 
     def miss(self, note: _GoalNote) -> Miss | None:
@@ -144,21 +143,21 @@ class _Diagnosis:
         press = self._presses.get((note.key, note.first))
         finger = self._numbers.finger(press.finger) if press else None
         sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
-        never = not len(sounding)
-        late = 0 if never else int(sounding[0]) - note.first
-        held_through = not (never or late) and self._sounds_from_before(note)
-        if never or held_through or late > self._in_time:
-            what = "never sounded" if never else f"{self._ms(late)} late"
-            what = "not struck again" if held_through else what
+        is_silent = not len(sounding)
+        late = 0 if is_silent else int(sounding[0]) - note.first
+        held_through = not (is_silent or late) and self._sounds_from_before(note)
+        if is_silent or held_through or late > self._in_time:
+            symptom = "never sounded" if is_silent else f"{self._ms(late)} late"
+            symptom = "not struck again" if held_through else symptom
             cause, reason = self._why_not(note, press, held_through)
             sounded = False
-        elif (short := note.last - 1 - int(sounding[-1])) > self._in_time:
-            what, sounded = f"let go {self._ms(short)} early", True
+        elif (early := note.last - 1 - int(sounding[-1])) > self._in_time:
+            symptom, sounded = f"let go {self._ms(early)} early", True
             cause, reason = self._why_early(note, press, int(sounding[-1]) + 1)
         else:
             return None
         name = self._name(note.key)
-        return Miss(note.first * self._dt, name, finger, what, cause, reason, sounded)
+        return Miss(note.first * self._dt, name, finger, symptom, cause, reason, sounded)
 
     def _name(self, key: int) -> str:
         return note_name(key + self._keyboard.lowest_pitch)
@@ -168,15 +167,15 @@ class _Diagnosis:
 
     def _sounds_from_before(self, note: _GoalNote) -> bool:
         """Whether the key still sounds from an earlier note of the score."""
-        begun = [step for step in self._begun[note.key] if step <= note.first]
-        since = begun[-1] if begun else note.first
+        onsets = [step for step in self._onsets[note.key] if step <= note.first]
+        since = onsets[-1] if onsets else note.first
         return bool(self._goal[since : note.first, note.key].any())
 
     # Notes that did not sound in time
 
     def _why_not(self, note: _GoalNote, press: Press | None, held_through: bool) -> tuple[str, str]:
         if press is None:
-            why = self._left_out.get((note.key, note.first), "its hand does not play")
+            why = self._reasons_without_finger.get((note.key, note.first), "its hand does not play")
             return "no finger", f"no finger for it: {why}"
         if held_through:
             return "key not released", "the key did not come up after the note before it"
@@ -198,8 +197,9 @@ class _Diagnosis:
         row, finger = note.first, press.finger
         if with_what := self._collision(row, finger):
             return "collided", f"collided with {with_what}: {where}"
-        if (planned := float(self._beside(self._planned[row + 1, finger], note.key))) > _BESIDE:
-            return "out of reach", f"out of reach: the plan has it {1000 * planned:.0f} mm away"
+        distance = float(self._beside(self._planned_tips[row + 1, finger], note.key))
+        if distance > _BESIDE:
+            return "out of reach", f"out of reach: the plan has it {1000 * distance:.0f} mm away"
         coming = self._tips[row : row + 1 + steps_in(_COMING, self._dt), finger]
         speed = self._speed(row + 1, finger)
         if (self._beside(coming, note.key) <= _BESIDE).any() or speed > _FAST:
@@ -223,11 +223,11 @@ class _Diagnosis:
     def _collision(self, row: int, finger: int) -> str:
         """Name of what a finger that is off the plan touches, if anything."""
         tip = self._tips[row, finger]
-        if np.linalg.norm(tip - self._planned[row + 1, finger]) <= _ASTRAY:
+        if np.linalg.norm(tip - self._planned_tips[row + 1, finger]) <= _ASTRAY:
             return ""
         room = np.linalg.norm(self._tips[row] - tip, axis=1) - self._radii - self._radii[finger]
         hand = self._numbers.hand_of(np.arange(len(room)))
-        room[~self._there] = room[finger] = np.inf
+        room[~self._is_present] = room[finger] = np.inf
         if not self._may_meet:
             room[hand != hand[finger]] = np.inf
         if room.min() < _TOUCHING:
@@ -239,8 +239,8 @@ class _Diagnosis:
     def _speed(self, state: int, finger: int) -> float:
         """Planned speed of a finger along the keyboard before `state` [m/s]."""
         before = max(state - steps_in(_STRIDE, self._dt), 0)
-        way = self._planned[state, finger, 1] - self._planned[before, finger, 1]
-        return float(abs(way)) / ((state - before) * self._dt)
+        distance = self._planned_tips[state, finger, 1] - self._planned_tips[before, finger, 1]
+        return float(abs(distance)) / ((state - before) * self._dt)
 
     # Notes that were let go early
 
@@ -274,8 +274,8 @@ class _Diagnosis:
         return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1))
 
 
-def _left_out(track: GoalTrack) -> Mapping[tuple[int, int], str]:
-    """Map (key, step) to why the note that begins there has no finger.
+def _reasons_without_finger(track: GoalTrack) -> Mapping[tuple[int, int], str]:
+    """(key, first step) -> the reason why this note has no finger.
 
     Where a key is struck again at once, the goal begins a step after the note.
     """

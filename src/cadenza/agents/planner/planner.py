@@ -25,10 +25,10 @@ Player: TypeAlias = "SongPlanner | PractisedPlanner"
 
 
 class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
-    """An agent that plans a song a window ahead of where it plays, and refines the plan as it goes.
+    """An agent that plans a song a window ahead, and refines the plan while it plays.
 
     With an effort, it plans and practises the whole song before it begins to play. It reports the
-    progress of "fingers" and "postures", and with an effort of the stages of `Practice`.
+    progress of "fingers" and "postures", and with an effort that of the stages of `Practice`.
     """
 
     def __init__(self, config: PlannerConfig | None = None) -> None:
@@ -47,7 +47,7 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
         self.keeps_fingering = self.config.fingering == "score"
 
     def begin(self, view: View, rng: np.random.Generator) -> Player | EarlyPlanner[Player]:
-        return early(view, lambda seen: self._begin(seen, rng))
+        return early(view, lambda early_view: self._begin(early_view, rng))
 
     def _begin(self, view: View, rng: np.random.Generator) -> Player:
         effort, progress = self.config.effort, self.progress
@@ -59,7 +59,7 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
             caller = get_ident()
 
             def report(stage: str, done: int, total: int) -> None:
-                if get_ident() == caller:  # plans that another thread makes meanwhile say nothing
+                if get_ident() == caller:  # not of plans that another thread makes meanwhile
                     progress(stage, done, total)
 
             processes = self._processes(len(view.task.scene.sides))
@@ -77,36 +77,36 @@ class Planner(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
         return PractisedPlanner(view, practice.best().practised, rng, context, practice.plan)
 
     def _processes(self, hands: int) -> list[HandProcess]:
-        """A process for the second hand of the first environment, where two threads may be used."""
+        """A process for the second hand of the first environment, if there are two threads."""
         if hands < 2 or self.threads < 2 or self.planners or self.config.method == "none":
             return []
         try:
             return [HandProcess()]
-        except OSError:  # there is no room for it; this process searches for both hands
+        except OSError:  # no memory for it: this process searches for both hands
             return []
 
 
 class PlanPlayer(Protocol):
-    """A hand that plays a plan, or all hands."""
+    """One hand, or all hands, that play a plan."""
 
-    servos: slice  # the servos of the hand among all of the scene
+    servos: slice  # the servos of these hands among those of the scene
 
     @property
     def lookahead(self) -> int:
         """Number of steps of the plan that are needed."""
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Continue from `step` on with a plan that goes further."""
+        """Continue from `step` on with a longer plan."""
 
     def act(self, step: int, state: State) -> Array:
         """Next controls (A,)."""
 
 
 class SongPlanner(EpisodePlanner):
-    """A planner of one song, which plans it a window ahead of where it plays.
+    """A planner of one song, which plans it a window ahead.
 
     Attributes:
-        plan: the plan before it is corrected, as far as it goes; all of it when the song is over.
+        plan: the plan so far, before corrections; at the end of the song, all of it.
         hands: the hands that play it, one by one or all together.
     """
 
@@ -115,7 +115,7 @@ class SongPlanner(EpisodePlanner):
     def __init__(
         self, plans: Iterator[SongPlan], hands_for: Callable[[SongPlan], Sequence[PlanPlayer]]
     ) -> None:
-        """Plan the first window; each of the `plans` goes further than the one before.
+        """Plan the first window; each of the `plans` is longer than the last.
 
         Raises CadenzaError if there are no hands in the scene.
         """

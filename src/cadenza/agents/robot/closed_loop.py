@@ -59,7 +59,7 @@ class ClosedLoop:
         It is as early as is usual, whatever the delay: strikes then begin in the midst of a control
         step, from which they may be off to either side.
         """
-        late = Lateness.known(self._known) or Lateness(0.0, 0.0, (0.0, 0.0, 0.0))
+        late = Lateness.expected(self._known) or Lateness(0.0, 0.0, (0.0, 0.0, 0.0))
         scene = with_servo_damping(self._scene, response.damping)
         view = replace(self._view, tracks=(replace(self._track, scene=scene),))
         weights = shipped_for(scene)

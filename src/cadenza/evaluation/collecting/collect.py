@@ -186,7 +186,7 @@ def _perturbed_agent(setup: Setup, noise: float, spec: EpisodeSpec, folder: Path
     student = None if name is None else find_player(name, configs={name: spec.student_config}).agent
     if student is not None:
         student.num_threads = agent.num_threads
-    if Lateness.known(spec.task.randomization) is None:  # else it plays early, or filters
+    if Lateness.expected(spec.task.randomization) is None:  # else it plays early, or filters
         of = spec.agent, spec.as_json()["config"], digest_of_files(spec.config)
         agent = PerformedAgent(agent, folder.parent.parent / PERFORMANCES, of)
     return PerturbedAgent(agent, setup.task.scene, noise, student)

@@ -1,4 +1,4 @@
-"""Targets of fingertips over time: boxes in space that they keep to."""
+"""Targets of fingertips over time: boxes in space."""
 
 from __future__ import annotations
 
@@ -16,38 +16,37 @@ from cadenza.fingers import SIDES
 from cadenza.scene.scene import Scene
 
 # Where fingertips press and stay, towards the player from the middle of the white keys [m].
-_ON_BLACK = 0.0  # on their ridge; on white ones as suits the finger, clear of the black
+_ON_BLACK = 0.0  # on their ridge; on white keys it depends on the finger, clear of black keys
 _FROM_FRONT = 0.004  # not nearer to the player's end of white keys
 _BEFORE_BLACK, _BESIDE_BLACK = 0.01, 0.0015  # in front of black keys; from them to the finger
-_OVER_KEYS = (-0.04, 0.066)  # idle ones
+_OVER_KEYS = (-0.04, 0.066)  # of idle fingers
 
 _TOLERANCE = np.array([0.003, 0.001])  # [m] along the key, across it
-_DEEP = 0.0015  # [m] below where the key stops
+_DEEP = 0.0015  # [m] below the stop of the key
 _HOVER, _HOVER_ROOM = 0.006, 0.006  # [m] above a key that is about to be pressed
 _APPROACH_HOVER = 0.01  # [m] above it before that
-_LIFTED = 0.008  # [m] above a key that was let go, and above all keys for an idle finger
+_LIFTED = 0.008  # [m] above a released key, and above all keys for an idle finger
 _APPROACH = 0.2  # [s] before a press in which its finger gets over the key
-_READY = 0.05  # [s] of them in which it is just above it
-# More than what just holds the key down, so that it sounds in spite of what is not modelled.
-_FORCE_MARGIN = 1.6
-# As many times that where it goes down, in which its inertia has to be overcome; on a black key
-# a fingertip would slip off.
+_READY = 0.05  # [s] of these in which it is just above the key
+_FORCE_MARGIN = 1.6  # of the force that just holds a key down: a margin for what is not modelled
+# Factor of that force while a white key goes down, to overcome its inertia. Fingertips would slip
+# off black keys.
 _STRIKE = 1.5
-_STRIKING = 0.05  # [s]
-# Before a strike that is to be in time.
-_MAX_DEPTH_BEFORE = 0.75  # share of the way to where the key sounds
-_MAX_DEPTH_LET_GO = 0.4  # the same if the key was let go just before: it has to come up in time
+_STRIKING = 0.05  # [s] for which that factor applies
+# Before a timed strike.
+_MAX_DEPTH_BEFORE = 0.75  # share of the depth at which the key sounds
+_MAX_DEPTH_LET_GO = 0.4  # the same if the key was just released, and has to come up in time
 _MAX_HEIGHT_BEFORE = 0.012  # [m]
 _READY_ROOM, _READY_SIGMA = 0.0005, 0.0015  # [m]
 
 # The weight of a box: the distance from it [m] that counts as one standard deviation.
-_X_ON_BLACK = 0.5  # times as far on black keys: in front of them a fingertip is caught
-# Closely along it as well: friction holds a fingertip that is to slide, and the hand is late.
+_X_ON_BLACK = 0.5  # factor along black keys: a fingertip is caught in front of them
+# Small along the key, too: friction delays a fingertip that has to slide, and with it the hand.
 _AT_KEY = np.array([0.003, 0.0015, 0.001])
 _ABOVE_KEY = np.array([0.006, 0.0015, 0.003])
 _IDLE = np.array([0.005, 1.0, 0.006])
-_IN_JUMP = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only the height matters
-_BEFORE_LANDING_ON_BLACK = np.array([2.0, 2.0, 1.0])  # just before
+_IN_JUMP = np.array([16.0, 16.0, 1.0])  # factors in a jump, where only the height matters
+_BEFORE_LANDING_ON_BLACK = np.array([2.0, 2.0, 1.0])  # factors just before the landing
 
 
 class Targets(NamedTuple):
@@ -56,7 +55,7 @@ class Targets(NamedTuple):
     low: Array
     high: Array
     sigma: Array  # distances from the box that count as one standard deviation [m]
-    wall: Array  # (S, F) the least x of a tip that presses a white key, where black keys begin [m]
+    wall: Array  # (S, F) the minimum x of a tip on a white key, where black keys begin [m]
     force: Array  # (S, F) the forces of fingertips, downwards [N]
 
     def part(self, first: int, last: int) -> Targets:
@@ -104,19 +103,19 @@ class _TargetWriter:
         """The targets with all presses in them."""
         if presses:
             arrays = _PressArrays.of(presses, len(self._targets.low))
-            over = self._at(arrays, np.zeros(len(presses)))
+            tops = self._at(arrays, np.zeros(len(presses)))
             self._hold(arrays)
-            self._let_go(arrays, over)
-            self._approach(arrays, over)
-            self._strike(arrays, over)
+            self._release(arrays, tops)
+            self._approach(arrays, tops)
+            self._strike(arrays, tops)
         return self._targets
 
-    def _approach(self, presses: _PressArrays, over: Array) -> None:
-        """Put fingers over their keys, the more closely the nearer in time, and low when ready."""
+    def _approach(self, presses: _PressArrays, tops: Array) -> None:
+        """Put fingers over the `tops` (P, 3) of keys, ever closer, and low when ready."""
         approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
         risen = presses.before + steps_in(RISE, self._dt)
         which, states = self._spread(np.maximum(presses.first - approach, risen), presses.first)
-        ahead, height = presses.first[which] - states, over[which, 2]
+        ahead, height = presses.first[which] - states, tops[which, 2]
         is_ready = ahead <= ready
         low = height + np.where(is_ready, _HOVER, _APPROACH_HOVER)
         high = np.where(is_ready, height + _HOVER + _HOVER_ROOM, np.inf)
@@ -129,10 +128,10 @@ class _TargetWriter:
         lands = is_ready & self._keyboard.is_black[presses.key[which]]
         sigma[jumps & lands] *= _BEFORE_LANDING_ON_BLACK
         sigma[jumps & ~lands] *= _IN_JUMP
-        self._box(presses, which, states, over, (low, high), sigma)
+        self._box(presses, which, states, tops, (low, high), sigma)
 
     def _hold(self, presses: _PressArrays) -> None:
-        """Put fingers just below the stops of their keys, with the force that holds those down."""
+        """Put fingers just below the stops of their keys, with the force that holds keys down."""
         keyboard, key = self._keyboard, presses.key
         at = self._at(presses, keyboard.travel[key])
         which, states = self._spread(presses.first, presses.last)
@@ -144,40 +143,40 @@ class _TargetWriter:
         force[struck & ~keyboard.is_black[key[which]]] *= _STRIKE
         self._targets.force[states, presses.finger[which]] = force
 
-    def _strike(self, presses: _PressArrays, over: Array) -> None:
-        """So high before a strike, so deep after it, and with so much force that it is in time."""
+    def _strike(self, presses: _PressArrays, tops: Array) -> None:
+        """Set height before, depth after and force of timed strikes, by the strike model."""
         inside = (presses.first > 0) & (presses.first < len(self._targets.low))
         struck = np.flatnonzero(inside & np.isfinite(presses.time))
         if not len(struck):
             return
         keyboard, key, first = self._keyboard, presses.key[struck], presses.first[struck]
-        finger, speed, rest = presses.finger[struck], presses.speed[struck], over[struck]
-        lever = rest[:, 0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
+        finger, speed, top = presses.finger[struck], presses.speed[struck], tops[struck]
+        lever = top[:, 0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
         sounds_at = np.tan(keyboard.sounds_from[key]) * lever
         before, after = self._model.heights(presses.time[struck], speed * lever, sounds_at)
         targets = self._targets
-        just_let_go = presses.before[struck] >= first - 1
-        share = np.where(just_let_go, _MAX_DEPTH_LET_GO, _MAX_DEPTH_BEFORE)
+        just_released = presses.before[struck] >= first - 1
+        share = np.where(just_released, _MAX_DEPTH_LET_GO, _MAX_DEPTH_BEFORE)
         before = np.clip(before, -share * sounds_at, _MAX_HEIGHT_BEFORE)
-        # A finger that has just let go of another key is not there yet.
-        free = (~just_let_go | presses.again[struck]) & ~presses.jumps_to[struck]
+        # A finger that has just released another key is not there yet.
+        free = (~just_released | presses.again[struck]) & ~presses.jumps_to[struck]
         ready = first[free] - 1, finger[free]
-        height = rest[free, 2] + before[free]
+        height = top[free, 2] + before[free]
         targets.low[*ready, 2], targets.high[*ready, 2] = height - _READY_ROOM, height + _READY_ROOM
         targets.sigma[*ready, 2] = _READY_SIGMA
-        deepest = np.tan(keyboard.travel[key]) * lever
-        depth = rest[:, 2] + np.minimum(after, -deepest)
+        stop_depth = np.tan(keyboard.travel[key]) * lever
+        depth = top[:, 2] + np.minimum(after, -stop_depth)
         targets.low[first, finger, 2] = targets.high[first, finger, 2] = depth
         targets.force[first, finger] = striking_torque(keyboard, key, speed) / lever
 
-    def _let_go(self, presses: _PressArrays, over: Array) -> None:
-        """Lift fingers straight up, or they would drag along the key; in a jump just up."""
+    def _release(self, presses: _PressArrays, tops: Array) -> None:
+        """Lift fingers straight up, so that they do not drag along the key; in a jump just up."""
         risen = presses.last + steps_in(RISE, self._dt)
         which, states = self._spread(presses.last, np.minimum(risen, presses.until))
         sigma = np.tile(_ABOVE_KEY, (len(which), 1))
         sigma[presses.jumps_off[which]] *= _IN_JUMP
-        height = over[which, 2] + _LIFTED, np.full(len(which), np.inf)
-        self._box(presses, which, states, over, height, sigma)
+        height = tops[which, 2] + _LIFTED, np.full(len(which), np.inf)
+        self._box(presses, which, states, tops, height, sigma)
 
     def _spread(self, first: Ids, last: Ids) -> tuple[Ids, Ids]:
         """Indices (N,) of presses, and (N,) all their states from `first` (P,) to `last` (P,)."""
@@ -196,9 +195,9 @@ class _TargetWriter:
         sigma: Array,
     ) -> None:
         """Write boxes (N,) around places `at` (P, 3), between two heights (N,)."""
-        targets, there, finger = self._targets, at[which, :2], presses.finger[which]
+        targets, places, finger = self._targets, at[which, :2], presses.finger[which]
         low, high = (
-            np.column_stack([there + room, z])
+            np.column_stack([places + room, z])
             for room, z in zip((-_TOLERANCE, _TOLERANCE), height, strict=True)
         )
         black = self._keyboard.is_black[presses.key[which]]
@@ -208,7 +207,7 @@ class _TargetWriter:
         targets.wall[states[~black], finger[~black]] = self._walls[finger[~black]]
 
     def _at(self, presses: _PressArrays, angle: Array) -> Array:
-        """The places (P, 3) where fingertips touch keys that are down by `angle` (P,) [rad]."""
+        """Places (P, 3) of fingertips on keys that are down by `angle` (P,) [rad]."""
         keyboard, key = self._keyboard, presses.key
         centre, half = keyboard.centre[key], keyboard.half_size[key]
         front = keyboard.white.centre_x + keyboard.white.half_size[0]
@@ -223,13 +222,13 @@ class _FingerGeometry(NamedTuple):
     """Lengths of F fingers, (F,) each [m]."""
 
     radius: Array  # the radius of the tip
-    # The place on white keys that the finger presses, from their middle towards the player
+    # Where the finger presses white keys, from their middle towards the player
     on_white: Array
-    walls: Array  # the place on white keys up to which black keys leave room, likewise
+    walls: Array  # the limit of the room in front of black keys, likewise
     above_all: Array  # the height of the tip above all keys
 
 
-@lru_cache(maxsize=8)  # short plans ask again and again
+@lru_cache(maxsize=8)  # for short plans
 def _finger_geometry(scene: Scene) -> _FingerGeometry:
     fingers, black = scene.hand.fingers * len(SIDES), scene.keyboard.black
     radius = np.array([finger.tip_radius for finger in fingers])
@@ -250,9 +249,9 @@ class _PressArrays(NamedTuple):
     key: Ids
     first: Ids
     last: Ids
-    before: Ids  # the state up to which the finger holds the key before
-    until: Ids  # the state from which on it holds the next one
-    again: NDArray[np.bool_]  # whether the key before was the same
+    before: Ids  # the end of the finger's previous press
+    until: Ids  # the beginning of its next press
+    again: NDArray[np.bool_]  # whether the previous press was of the same key
     jumps_off: NDArray[np.bool_]
     jumps_to: NDArray[np.bool_]
     from_above: NDArray[np.bool_]
@@ -263,13 +262,13 @@ class _PressArrays(NamedTuple):
     def of(cls, presses: Sequence[Press], num_states: int) -> _PressArrays:
         """The arrays of presses by time, in a plan of `num_states` states."""
         before, until = np.zeros(len(presses), np.intp), np.full(len(presses), num_states)
-        again, earlier = np.zeros(len(presses), bool), dict[int, int]()
+        again, last_of_finger = np.zeros(len(presses), bool), dict[int, int]()
         for i, press in enumerate(presses):
-            if press.finger in earlier:
-                j = earlier[press.finger]
+            if press.finger in last_of_finger:
+                j = last_of_finger[press.finger]
                 before[i], until[j] = presses[j].last, press.first
                 again[i] = presses[j].key == press.key
-            earlier[press.finger] = i
+            last_of_finger[press.finger] = i
         finger, key, first, last = np.array(
             [(press.finger, press.key, press.first, press.last) for press in presses]
         ).T

@@ -16,9 +16,9 @@ from cadenza.music.metrics import ONSET_TOLERANCE
 
 ABOUT_TO_PRESS = 0.1  # time before a press in which its finger counts as playing [s]
 TIP_WEIGHT = 3000.0  # weight of the squared distance of a playing fingertip from the plan [1 / m^2]
-_IDLE_TIP_WEIGHT = 200.0  # [1 / m^2] the same of an idle one, which only has to be out of the way
-_LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
-_ROUNDING = 1e-9  # so that a whole number of steps counts as such
+_IDLE_TIP_WEIGHT = 200.0  # [1 / m^2] of an idle fingertip, which only has to be out of the way
+_LEAVING = 0.1  # [s] that a hand needs to leave a key of the other hand
+_ROUNDING = 1e-9  # tolerance for a whole number of steps
 
 
 class HandGoals:
@@ -53,8 +53,8 @@ class HandGoals:
         self.wrong = ~keys & ~others_or_before
         self.onset_due = self.keys & (last_in_time(keys, dt) >= 0)
         self.onset_wrong = (self.keys | self.wrong) & ~may_begin(keys, dt)
-        own = self.keys[plan.strikes.step, plan.strikes.key]
-        self.strikes = PlannedStrikes._make(values[own] for values in plan.strikes)
+        is_own = self.keys[plan.strikes.step, plan.strikes.key]
+        self.strikes = PlannedStrikes._make(values[is_own] for values in plan.strikes)
         self.dt = dt
         row = count * plan.scene.sides.index(side)
         self.fingertips = nominal.fingertips[:, row : row + count]
@@ -69,7 +69,7 @@ class HandGoals:
         self.weight = np.where(self.playing, TIP_WEIGHT, _IDLE_TIP_WEIGHT)
 
     def holding(self, sounding: Mask) -> HandGoals:
-        """These goals, with the keys planned that are `sounding` (T, K)."""
+        """These goals, with `sounding` keys (T, K) as those that the plan holds."""
         part = copy(self)
         part.planned = self.keys & sounding
         return part
@@ -78,19 +78,19 @@ class HandGoals:
 def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
     """Last steps (T, K) in which notes of `keys` (T, K) still begin in time; elsewhere -1.
 
-    The value is the number of control steps of `dt` [s] from the note's first one to there. A note
-    is in time as `cadenza.music.metrics` counts onsets, or sooner: one whose key was down two steps
-    before may have been struck again, so that it begins a step late at best.
+    The value is the number of control steps of `dt` [s] since the note's first step. A note is in
+    time as `cadenza.music.metrics` counts onsets. If its key was down two steps before, it may be a
+    repetition, which begins a step late at best; then the last step is one sooner.
     """
     first, steps = first_steps(keys), _steps_in_time(dt)
-    again, sooner = first & delayed(keys, 2), max(steps - 1, 0)
-    # Small numbers: of a long song, whole arrays of large ones take most of the time of its part.
-    last = np.where(delayed(first & ~again, steps), np.int8(steps), np.int8(-1))
-    return np.where(delayed(again, sooner), np.int8(sooner), last)
+    repeats, steps_of_repeats = first & delayed(keys, 2), max(steps - 1, 0)
+    # Eight bits: large arrays of a long song would take most of the time.
+    last = np.where(delayed(first & ~repeats, steps), np.int8(steps), np.int8(-1))
+    return np.where(delayed(repeats, steps_of_repeats), np.int8(steps_of_repeats), last)
 
 
 def may_begin(keys: Mask, dt: float) -> Mask:
-    """Steps (T, K) in which notes of `keys` (T, K) may begin: their first one, or a little late.
+    """Steps (T, K) in which notes of `keys` (T, K) may begin: their first step, or a little later.
 
     `dt` is the control step [s].
     """

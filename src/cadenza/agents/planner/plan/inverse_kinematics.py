@@ -1,10 +1,11 @@
 """Postures of the hands for a stretch of music, as one sparse least-squares problem.
 
-The unknowns are all postures at once. The terms (`kinematic_terms`) concern one posture or three in
-a row, so that the normal equations are banded, and a Gauss-Newton step costs a time linear in the
-music's length. Where hands never come close to each other, the equations of each are solved by
-themselves, in a quarter of the time. Only postures that have moved far enough are linearised anew
-(fluid relinearisation: Kaess et al., iSAM2, International Journal of Robotics Research 31, 2012).
+The unknowns are all postures at once. Each term (`kinematic_terms`) concerns one posture or three
+in a row, so that the normal equations are banded, and the time of a Gauss-Newton step is linear in
+the length of the music. Where hands never come close to each other, the equations of each hand are
+solved by themselves, in a quarter of the time. Only postures that have moved far enough are
+linearised anew (fluid relinearisation: Kaess et al., iSAM2, International Journal of Robotics
+Research 31, 2012).
 """
 
 from __future__ import annotations
@@ -36,31 +37,30 @@ Array = NDArray[Any]
 
 # Less time than double precision, and the same costs within a hundredth.
 _REAL: np.dtype[Any] = np.dtype(np.float32)
-_MOVED = 0.05  # of a servo's stride by which a posture moves until it is linearised anew
-_BLOCKED_DIAGONALS = 68  # from which on LAPACK works in blocks: with zeros it takes half the time
-_AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
+_MOVED = 0.05  # of a servo's stride by which a posture moves before it is linearised anew
+_BLOCKED_DIAGONALS = 68  # from which on LAPACK works in blocks: padding with zeros halves the time
+_BATCH = 256  # postures that are linearised together, to save memory
 _FIXED = 1e9  # weight that keeps a joint at the end of its range
 
-# Levenberg-Marquardt: a step fails at a posture whose cost becomes larger than `_WORSE` times the
-# one before and `_WORSE_BY`; the damping there and beside it is multiplied by `_RETRIED` for the
-# next trial or, if the step is taken all the same, by `_TIGHTENED`, and elsewhere by `_EASED`.
+# Levenberg-Marquardt: a step fails at a posture if its cost exceeds `_WORSE` times the last cost by
+# more than `_WORSE_BY`. The damping there and beside it is multiplied by `_RETRIED` for the next
+# trial or, if the step is taken all the same, by `_TIGHTENED`; elsewhere it is by `_EASED`.
 _WORSE, _WORSE_BY = 1.02, 0.02
 _RETRIED, _TIGHTENED, _EASED = 8, 4, 1 / 2
 _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e3
-_MIN_ITERATIONS = 6  # one of the first may gain little because it is damped a lot
+_MIN_ITERATIONS = 6  # the first ones may gain little because they are damped a lot
 
 
 class SolverOptions(NamedTuple):
     """Parameters of the solver."""
 
     max_iterations: int  # the maximum number of steps
-    # The maximum number of dampings that are tried in a step until the cost falls (Levenberg-
-    # Marquardt). With 0, each step is taken, whatever it costs (Gauss-Newton without a line
-    # search).
+    # The maximum number of dampings to try in a step until the cost falls (Levenberg-Marquardt).
+    # With 0, each step is taken, whatever its cost (Gauss-Newton without a line search).
     max_trials: int
     tolerance: float  # relative decrease of the cost with which the solver ends
     damping: float  # damping of the first step; without a line search, of all
-    # Whether all steps without a line search have the derivatives of the first
+    # Whether all steps without a line search use the derivatives of the first
     keep_derivatives: bool = False
 
 
@@ -82,8 +82,8 @@ def solve_postures(
     Args:
         kinematics: the kinematics of a scene with one hand or two.
         targets: the targets of all fingers in S states.
-        guess: (S, A) the postures to stay near; the first row is where the hands are and stays.
-        before: (A,) the posture before that.
+        guess: (S, A) the postures to stay near; the first row is the current posture, and fixed.
+        before: (A,) the posture before the current one.
         dt: time between postures [s].
         progress: receives the stage "postures", in iterations.
         begin: (S, A) the warm start, if not the guess; with the same first row.
@@ -99,15 +99,15 @@ def solve_postures(
 def _gauss_newton(problem: PostureProblem, postures: Array, options: SolverOptions) -> Array:
     """Gauss-Newton without a line search."""
     damping = np.full(len(postures) - 1, options.damping, _REAL)
-    known: PostureLinearisation | None = None
+    linearisation: PostureLinearisation | None = None
     for _ in range(options.max_iterations):
-        if known is None or not options.keep_derivatives:
-            known = problem.linearisation(postures)
-        now = problem.evaluation(postures, known)
-        bands, gradient = problem.normal_equations(postures, now)
-        earlier, postures = postures, problem.step(postures, bands, gradient, damping)
-        gained = 0.5 * np.vdot(gradient, (earlier - postures)[1:])
-        if gained < options.tolerance * now.cost.sum():
+        if linearisation is None or not options.keep_derivatives:
+            linearisation = problem.linearisation(postures)
+        evaluation = problem.evaluation(postures, linearisation)
+        bands, gradient = problem.normal_equations(postures, evaluation)
+        previous, postures = postures, problem.step(postures, bands, gradient, damping)
+        gain = 0.5 * np.vdot(gradient, (previous - postures)[1:])
+        if gain < options.tolerance * evaluation.cost.sum():
             break
     return postures
 
@@ -115,20 +115,22 @@ def _gauss_newton(problem: PostureProblem, postures: Array, options: SolverOptio
 def _levenberg_marquardt(
     problem: PostureProblem, postures: Array, options: SolverOptions, progress: Progress
 ) -> Array:
-    """Levenberg-Marquardt, in which each posture has a damping of its own, so that none waits."""
+    """Levenberg-Marquardt with a damping of its own for each posture."""
     damping = np.full(len(postures) - 1, options.damping, _REAL)
-    now = problem.evaluation(postures, problem.linearisation(postures))
+    evaluation = problem.evaluation(postures, problem.linearisation(postures))
     for iteration in range(options.max_iterations):
         progress("postures", iteration, options.max_iterations)
-        bands, gradient = problem.normal_equations(postures, now)
+        bands, gradient = problem.normal_equations(postures, evaluation)
         failed = np.zeros(len(damping), bool)
         for _ in range(options.max_trials):
             trial = problem.step(postures, bands, gradient, damping)
-            there = problem.evaluation(trial, problem.linearisation(trial, now.linearisation))
-            worse = there.cost > _WORSE * now.cost + _WORSE_BY
-            # The ends are taken for neighbours, too: at sight, that plays a little better.
+            trial_evaluation = problem.evaluation(
+                trial, problem.linearisation(trial, evaluation.linearisation)
+            )
+            worse = trial_evaluation.cost > _WORSE * evaluation.cost + _WORSE_BY
+            # Both ends count as neighbours: at sight, that plays a little better.
             near = worse | np.roll(worse, 1) | np.roll(worse, -1)
-            better = there.cost.sum() < now.cost.sum()
+            better = trial_evaluation.cost.sum() < evaluation.cost.sum()
             if better:
                 eased = np.where(failed, damping, np.maximum(damping * _EASED, _MIN_DAMPING))
                 damping = np.where(near, np.minimum(damping * _TIGHTENED, _MAX_DAMPING), eased)
@@ -139,9 +141,9 @@ def _levenberg_marquardt(
             failed |= near
         if not better:
             break
-        gained = now.cost.sum() - there.cost.sum()
-        postures, now = trial, there
-        if iteration + 1 >= _MIN_ITERATIONS and gained < options.tolerance * now.cost.sum():
+        gain = evaluation.cost.sum() - trial_evaluation.cost.sum()
+        postures, evaluation = trial, trial_evaluation
+        if iteration + 1 >= _MIN_ITERATIONS and gain < options.tolerance * evaluation.cost.sum():
             break
     return postures
 
@@ -159,11 +161,11 @@ class PostureLinearisation(NamedTuple):
     between: Array
 
     def with_new(self, rows: Ids, new: PostureLinearisation) -> PostureLinearisation:
-        """This linearisation with those of `new` postures in the rows (R,)."""
-        kept = ~np.isin(self.close, rows)
+        """This linearisation, with the `new` ones in rows (R,)."""
+        unchanged = ~np.isin(self.close, rows)
         values = {
-            "close": np.concatenate([self.close[kept], new.close]),
-            "between": np.concatenate([self.between[kept], new.between]),
+            "close": np.concatenate([self.close[unchanged], new.close]),
+            "between": np.concatenate([self.between[unchanged], new.between]),
         }
         for name in ("at", "squares", "gradient", "blocks", "pressing"):
             values[name] = getattr(self, name).copy()
@@ -172,12 +174,12 @@ class PostureLinearisation(NamedTuple):
 
     def gradient_change(self, change: Array) -> Array:
         """Change (N, H, A) of half the gradient with a change (N, H, A) of the postures."""
-        added = (self.blocks @ change[..., None])[..., 0]
+        result = (self.blocks @ change[..., None])[..., 0]
         if len(self.close):
             right, left = np.moveaxis(change[self.close], 1, 0)
-            added[self.close, 0] += np.einsum("mrl,ml->mr", self.between, left)
-            added[self.close, 1] += np.einsum("mrl,mr->ml", self.between, right)
-        return added
+            result[self.close, 0] += np.einsum("mrl,ml->mr", self.between, left)
+            result[self.close, 1] += np.einsum("mrl,mr->ml", self.between, right)
+        return result
 
 
 class PostureEvaluation(NamedTuple):
@@ -226,25 +228,25 @@ class PostureProblem:
         return by_hand(rows, self._hands).astype(_REAL)
 
     def linearisation(
-        self, postures: Array, known: PostureLinearisation | None = None
+        self, postures: Array, last: PostureLinearisation | None = None
     ) -> PostureLinearisation:
-        """Linearisation at postures (S, A), or the `known` one if these are still near it."""
-        if known is None:
-            return self._linearised(postures[1:], np.arange(len(postures) - 1))
-        far = np.abs(self._by_hand(postures[1:]) - known.at) > _MOVED * self._motion.stride
+        """Linearisation at postures (S, A); the `last` one is reused where they are near it."""
+        if last is None:
+            return self._linearise(postures[1:], np.arange(len(postures) - 1))
+        far = np.abs(self._by_hand(postures[1:]) - last.at) > _MOVED * self._motion.stride
         moved = np.flatnonzero(far.any(axis=(1, 2)))
         if not len(moved):
-            return known
-        return known.with_new(moved, self._linearised(postures[1:][moved], moved))
+            return last
+        return last.with_new(moved, self._linearise(postures[1:][moved], moved))
 
-    def evaluation(self, postures: Array, known: PostureLinearisation) -> PostureEvaluation:
+    def evaluation(self, postures: Array, near: PostureLinearisation) -> PostureEvaluation:
         """Cost of postures (S, A) by a linearisation near them."""
         rows = np.concatenate([self._before, self._by_hand(postures)])
-        change = rows[2:] - known.at
-        added = known.gradient_change(change)
-        squares = known.squares + ((2 * known.gradient + added) * change).sum(axis=(1, 2))
+        change = rows[2:] - near.at
+        gradient_change = near.gradient_change(change)
+        squares = near.squares + ((2 * near.gradient + gradient_change) * change).sum(axis=(1, 2))
         motion = self._motion
-        control = motion.control_range.stencil(rows) + known.pressing
+        control = motion.control_range.stencil(rows) + near.pressing
         violation = control - clip(control, motion.low, motion.high)
         residuals = rows[2:] - self._rest, motion.smoothness.stencil(rows), violation
         weighted: Array = sum(
@@ -252,15 +254,15 @@ class PostureProblem:
             for term, residual in zip(motion.terms, residuals, strict=True)
         )
         cost = 0.5 * (squares + weighted.sum(axis=(1, 2)))
-        return PostureEvaluation(cost, known.gradient + added, residuals, known)
+        return PostureEvaluation(cost, near.gradient + gradient_change, residuals, near)
 
-    def _linearised(self, postures: Array, rows: Ids) -> PostureLinearisation:
+    def _linearise(self, postures: Array, rows: Ids) -> PostureLinearisation:
         """Linearisation at the postures (N, A) after the first one, in rows (N,)."""
-        parts = (slice(first, first + _AT_ONCE) for first in range(0, len(rows), _AT_ONCE))
-        linearised = [self._linearised_at_once(postures[some], rows[some]) for some in parts]
-        return PostureLinearisation._make(map(np.concatenate, zip(*linearised, strict=True)))
+        parts = (slice(first, first + _BATCH) for first in range(0, len(rows), _BATCH))
+        batches = [self._linearise_batch(postures[part], rows[part]) for part in parts]
+        return PostureLinearisation._make(map(np.concatenate, zip(*batches, strict=True)))
 
-    def _linearised_at_once(self, postures: Array, rows: Ids) -> PostureLinearisation:
+    def _linearise_batch(self, postures: Array, rows: Ids) -> PostureLinearisation:
         links = self._kinematics.links(postures)
         # In the order of indices, which is the order of sums.
         points, tips = (np.ascontiguousarray(v, _REAL) for v in (links.points, links.tips))
@@ -289,46 +291,49 @@ class PostureProblem:
         close = residual.any(axis=1)
         return near[close], residual[close], jacobian[close]
 
-    def normal_equations(self, postures: Array, now: PostureEvaluation) -> tuple[Array, Array]:
+    def normal_equations(
+        self, postures: Array, evaluation: PostureEvaluation
+    ) -> tuple[Array, Array]:
         """Banded matrices, see `_banded`, and the gradient (S - 1, H, A).
 
-        There is a matrix for each hand, or one for both where they come close to each other. Joints
-        at the ends of their ranges that would go further are taken out.
+        There is a matrix for each hand, or one for both if they come close to each other. Joints
+        that would leave their ranges are fixed.
         """
-        gradient = now.gradient.copy()
-        for term, residual in zip(self._motion.terms, now.motion_residuals, strict=True):
+        gradient = evaluation.gradient.copy()
+        for term, residual in zip(self._motion.terms, evaluation.motion_residuals, strict=True):
             term.stencil.add_gradient(gradient, term.weight * residual)
         rows = self._by_hand(postures[1:])
         outwards = np.where(gradient > 0, rows <= self._motion.low, rows >= self._motion.high)
-        control_range, violation = self._motion.control_range, now.motion_residuals[-1]
+        control_range, violation = self._motion.control_range, evaluation.motion_residuals[-1]
         violated = control_range.weight * (violation != 0)
         diagonals = self._constant + control_range.stencil.normal_equations(violated)
         diagonals[0] += _FIXED * outwards
-        return _banded(diagonals, now.linearisation), np.where(outwards, 0.0, gradient)
+        return _banded(diagonals, evaluation.linearisation), np.where(outwards, 0.0, gradient)
 
     def step(self, postures: Array, bands: Array, gradient: Array, damping: Array) -> Array:
         """The postures (S, A) after a step that is damped (S - 1,)."""
-        change = self._solved(bands, gradient, damping).reshape(gradient.shape)
+        change = self._solve(bands, gradient, damping).reshape(gradient.shape)
         change = clip(change, -self._motion.stride, self._motion.stride)
         moved = clip(self._by_hand(postures[1:]) + change, self._motion.low, self._motion.high)
         return np.concatenate([postures[:1], moved.reshape(len(moved), -1)])
 
-    def _solved(self, bands: Array, gradient: Array, damping: Array) -> Array:
-        """(S - 1, 1 or H, A or H A) the solution of the equations, damped (S - 1,)."""
+    def _solve(self, bands: Array, gradient: Array, damping: Array) -> Array:
+        """Solve the equations, damped by (S - 1,): (S - 1, 1 or H, A or H A)."""
         damped, shape = bands.copy(), (len(gradient), len(bands), -1)
         more = (damping[:, None, None] / self._motion.stride**2).reshape(shape)
         damped[..., -1] += more.swapaxes(0, 1)
         right_hand_side = -gradient.reshape(shape).swapaxes(0, 1)
-        # Not `scipy.linalg.solveh_banded`, which takes as long to call it as short plans to solve.
+        # Not `scipy.linalg.solveh_banded`, whose overhead is as long as short plans take to solve.
         solve = lapack.spbsv if bands.dtype == np.float32 else lapack.dpbsv
         solution = np.empty_like(right_hand_side)
-        for band, own, there in zip(damped, right_hand_side, solution, strict=True):
-            _, x, failed = solve(band.reshape(-1, band.shape[-1]).T, own.ravel(), overwrite_ab=True)
+        for band, right, result in zip(damped, right_hand_side, solution, strict=True):
+            matrix = band.reshape(-1, band.shape[-1]).T
+            _, x, failed = solve(matrix, right.ravel(), overwrite_ab=True)
             if failed:
                 if bands.dtype == np.float64:
                     raise LinAlgError("the equations of postures are not positive definite")
-                return self._solved(bands.astype(np.float64), gradient, damping)
-            there[...] = x.reshape(there.shape)
+                return self._solve(bands.astype(np.float64), gradient, damping)
+            result[...] = x.reshape(result.shape)
         return solution.swapaxes(0, 1)
 
 
@@ -342,13 +347,13 @@ def _banded(diagonals: Array, at: PostureLinearisation) -> Array:
     bands = np.zeros((parts, count, size, max(2 * size, _BLOCKED_DIAGONALS) + 1), blocks.dtype)
     row, column = _upper(size)
     bands[:, :, column, row - column - 1] = blocks.swapaxes(0, 1)[:, :, row, column]
-    in_a_row = diagonals.reshape(3, count, parts, size).swapaxes(1, 2)
-    for apart, diagonal in enumerate(in_a_row):
+    by_matrix = diagonals.reshape(3, count, parts, size).swapaxes(1, 2)
+    for apart, diagonal in enumerate(by_matrix):
         bands[..., -1 - apart * size] += diagonal
     return bands
 
 
-_upper = lru_cache(np.triu_indices)  # which takes as long as all else here if plans are short
+_upper = lru_cache(np.triu_indices)  # slow beside the rest for short plans
 
 
 def _joint_blocks(at: PostureLinearisation) -> Array:

@@ -22,17 +22,16 @@ from cadenza.scene.servos import Servos, clip
 
 Array = NDArray[Any]
 
-# The weight of a term is the inverse square of what counts as one standard deviation. That of
-# fingertips outside their boxes comes with `Targets`.
+# The weight of a term is the inverse square of its standard deviation. `Targets` have that of
+# fingertips outside their boxes.
 _WALL_SIGMA = 0.001  # [m] into black keys: strict, as a finger that touches them is caught
 _OVERLAP_SIGMA = 0.002  # [m] of links: a little does no harm, as fingers give way
 _FOREARMS_SIGMA = 0.002  # [m] of forearms; with 0.005, close hands are planned 2 cm into each other
-# By how much a servo falls short as its control would leave its range, in strides: strict, as it
-# cannot be.
+# Of a servo's shortfall as its control would leave its range, in strides: strict, as it is
+# impossible.
 _RANGE_SIGMA = 0.02
-# How far a servo is from its rest, and how much it accelerates: `Servo.ease` and
-# `Servo.acceleration` of the hand, which are large, so that these terms only decide what the
-# others leave open.
+# The distance of a servo from rest and its acceleration have `Servo.ease` and `Servo.acceleration`
+# of the hand. They are large, so that these terms only decide what the others leave open.
 
 _FOREARMS_APART = WIDTH + 0.011  # [m] from middle to middle: room for what is not modelled
 
@@ -79,12 +78,14 @@ class TipsInBoxes:
         tips, jacobian = hands.links.points[:, :, :, TIP], hands.links.tips
         outside = (tips - clip(tips, low, high)) / sigma
         slope = jacobian * ((outside != 0) / sigma)[..., None]
-        count, of = outside.shape[:2]
-        return outside.reshape(count, of, -1), slope.reshape(count, of, -1, slope.shape[-1])
+        count, num_hands = outside.shape[:2]
+        return outside.reshape(count, num_hands, -1), slope.reshape(
+            count, num_hands, -1, slope.shape[-1]
+        )
 
 
 class TipsBehindBlackKeys:
-    """Distances of fingertips that press white keys into the wall of black keys behind these."""
+    """Depths of fingertips that press white keys in the wall of black keys behind these."""
 
     def __init__(self, wall: Array) -> None:
         """Take `wall` (S, H, F) of `Targets`."""
@@ -92,9 +93,9 @@ class TipsBehindBlackKeys:
 
     def __call__(self, hands: PosedHands) -> Term:
         tips, jacobian = hands.links.points[:, :, :, TIP, 0], hands.links.tips[..., 0, :]
-        into = np.minimum(tips - self._wall[hands.rows], 0.0) / _WALL_SIGMA
-        weight = ((into < 0) / _WALL_SIGMA).astype(into.dtype)
-        return into, jacobian * weight[..., None]
+        depth = np.minimum(tips - self._wall[hands.rows], 0.0) / _WALL_SIGMA
+        weight = ((depth < 0) / _WALL_SIGMA).astype(depth.dtype)
+        return depth, jacobian * weight[..., None]
 
 
 class LinksApart:
@@ -105,11 +106,11 @@ class LinksApart:
 
     def __call__(self, hands: PosedHands) -> Term:
         links, points = hands.links, hands.links.points
-        count, of, fingers, _, size = links.tips.shape
-        overlaps = self._pairs.overlaps(points.reshape(count * of, *points.shape[2:]))
-        posture, hand = np.divmod(overlaps.row, of)
-        met, column = overlaps.columns
-        residual = np.zeros((count, of, met), points.dtype)
+        count, num_hands, fingers, _, size = links.tips.shape
+        overlaps = self._pairs.overlaps(points.reshape(count * num_hands, *points.shape[2:]))
+        posture, hand = np.divmod(overlaps.row, num_hands)
+        num_pairs, column = overlaps.columns
+        residual = np.zeros((count, num_hands, num_pairs), points.dtype)
         residual[posture, hand, column] = overlaps.depth / _OVERLAP_SIGMA
         finger = hand * fingers + overlaps.finger
         apart = links.along(posture, finger, overlaps.link, overlaps.at, overlaps.away)
@@ -136,11 +137,11 @@ class HandLinksApart:
         overlaps = self._collisions.between_hands.overlaps(
             points.reshape(len(points), -1, *points.shape[3:])
         )
-        met, column = overlaps.columns
-        residual = np.zeros((len(points), met), points.dtype)
+        num_pairs, column = overlaps.columns
+        residual = np.zeros((len(points), num_pairs), points.dtype)
         residual[overlaps.row, column] = overlaps.depth / _OVERLAP_SIGMA
         away = links.along(overlaps.row, overlaps.finger, overlaps.link, overlaps.at, overlaps.away)
-        jacobian = np.zeros((len(points), 2, met, links.tips.shape[-1]), points.dtype)
+        jacobian = np.zeros((len(points), 2, num_pairs, links.tips.shape[-1]), points.dtype)
         jacobian[overlaps.row, [[0], [1]], column] = away / _OVERLAP_SIGMA
         return residual, jacobian
 
@@ -185,10 +186,10 @@ class Stencil(NamedTuple):
         return self.first * before + self.second * now + self.third * after
 
     def normal_equations(self, weight: Array) -> Array:
-        """(3, N, H, A) the diagonals of the blocks of its squares with weights (N, H, A).
+        """(3, N, H, A) diagonals of the normal equations of its squares, weighted by (N, H, A).
 
-        There is a block of each of N postures with itself, with the one before, and with the one
-        before that; two postures before all are known.
+        There is a block of each of N postures with itself, with the previous one, and with the one
+        before that. The two postures before the first are fixed.
         """
         diagonals = np.zeros((3, *weight.shape), weight.dtype)
         itself, one_before, two_before = diagonals
@@ -201,7 +202,7 @@ class Stencil(NamedTuple):
         return diagonals
 
     def add_gradient(self, gradient: Array, weighted: Array) -> None:
-        """Add the gradient of its squares, given weighted residuals (N, H, A), to `gradient`."""
+        """Add the gradient of its squares to `gradient`; residuals (N, H, A) are weighted."""
         gradient += weighted * self.third
         gradient[:-1] += weighted[1:] * self.second
         gradient[:-2] += weighted[2:] * self.first
@@ -232,7 +233,7 @@ class MotionTerms(NamedTuple):
         return self.rest, self.smoothness, self.control_range
 
 
-@lru_cache(maxsize=8)  # short plans ask again and again
+@lru_cache(maxsize=8)  # for short plans
 def motion_terms(servos: Servos, hands: int, dt: float, dtype: np.dtype[Any]) -> MotionTerms:
     """The terms of a motion in steps of `dt` [s]."""
     figures = np.array([(use.ease, use.acceleration, use.stride) for use in servos.uses]).T

@@ -12,12 +12,12 @@ from cadenza.hands.hand import Hand
 from cadenza.scene.servos import clip
 
 _CLEARANCE = 0.0015  # [m] between links
-_POINT = 1e-12  # [m^2] least squared length of a link, so that nothing is divided by 0
-_TOUCHING = 1e-9  # [m] least distance, likewise
+_MIN_LENGTH_SQUARED = 1e-12  # [m^2] of a link, so that nothing is divided by 0
+_MIN_DISTANCE = 1e-9  # [m], likewise
 
 
 class Overlaps(NamedTuple):
-    """M overlaps of two links, the first and the second, which are nearer than allowed."""
+    """M overlaps of two links, a first and a second, which are nearer than allowed."""
 
     row: Ids  # (M,) the posture, of N
     pair: Ids  # (M,) the pair of links
@@ -52,14 +52,14 @@ class LinkPairs:
 
     def overlaps(self, points: Array) -> Overlaps:
         """Overlaps in N postures of fingers with points (N, F, P, 3) [m], see `Kinematics`."""
-        count, fingers, each, _ = points.shape
-        in_a_row = points.reshape(count, fingers * each, 3)
-        begin, end = np.moveaxis(in_a_row.take(self._ends, axis=1), 0, 2)  # (2, N, C, 3)
+        count, fingers, num_points, _ = points.shape
+        all_points = points.reshape(count, fingers * num_points, 3)
+        begin, end = np.moveaxis(all_points.take(self._ends, axis=1), 0, 2)  # (2, N, C, 3)
         along = end - begin
         share = _closest(begin[0] - begin[1], *along)
         at = begin + share[..., None] * along
         gap = at[0] - at[1]
-        distance = np.sqrt(np.vecdot(gap, gap)) + _TOUCHING
+        distance = np.sqrt(np.vecdot(gap, gap)) + _MIN_DISTANCE
         depth = distance - self.min_distance
         row, pair = np.nonzero(depth < 0.0)
         away = gap[row, pair] / distance[row, pair, None]
@@ -71,8 +71,8 @@ class LinkPairs:
 class LinkCollisions:
     """Pairs of links that could meet, within one hand or between two alike.
 
-    Neighbouring fingers can, the thumb and the fingers that it meets, and thumbs and forefingers of
-    both hands; not the first links of neighbours, which are mounted far enough apart.
+    They are those of neighbouring fingers, of the thumb and the fingers that it meets, and of
+    thumbs and forefingers of both hands. First links of neighbours are mounted far enough apart.
 
     Attributes:
         within_hand: the pairs of one hand; fingers are counted from its thumb.
@@ -81,13 +81,13 @@ class LinkCollisions:
 
     def __init__(self, hand: Hand) -> None:
         count, links = len(hand.fingers), range(len(hand.fingers[0].links))
-        beside = [
+        finger_pairs = [
             *pairwise(range(1, count)),
             *((0, other) for other in range(1, min(count, 1 + hand.thumb_meets))),
         ]
-        of_one = [
+        within = [
             ((a, i), (b, j))
-            for a, b in beside
+            for a, b in finger_pairs
             for i in links
             for j in links
             if (i or j if a else i)
@@ -101,7 +101,7 @@ class LinkCollisions:
             for j in links[1:]
         ]
         radii = np.array([finger.radii for finger in hand.fingers])  # (F, links)
-        self.within_hand = LinkPairs(of_one, radii)
+        self.within_hand = LinkPairs(within, radii)
         self.between_hands = LinkPairs(between, np.tile(radii, (2, 1)))
         self._inner, self._max_distance = len(inner), 2 * radii[inner].max() + _CLEARANCE
 
@@ -115,20 +115,20 @@ class LinkCollisions:
         return near
 
 
-link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short ask again and again
+link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # for short plans
 
 
 def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
-    """Points (2, ...) of segments that are nearest to each other, as shares of their lengths.
+    """Nearest points (2, ...) of two segments, as shares of their lengths.
 
-    Both are (..., 3), from beginning to end, and `between` leads from the second one's beginning to
-    the first one's. Source: Ericson, Real-Time Collision Detection (2005), 5.1.9. Parallel segments
-    may give any of their nearest points.
+    `along_a` and `along_b` (..., 3) lead from begin to end of each segment, and `between` (..., 3)
+    from the begin of b to that of a. Parallel segments may give any of their nearest points.
+    Source: Ericson, Real-Time Collision Detection (2005), 5.1.9.
     """
     aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
     ab = np.vecdot(along_a, along_b)
     da, db = np.vecdot(along_a, between), np.vecdot(along_b, between)
-    aa, bb = np.maximum(aa, _POINT), np.maximum(bb, _POINT)
-    s = clip((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, _POINT), 0.0, 1.0)
+    aa, bb = np.maximum(aa, _MIN_LENGTH_SQUARED), np.maximum(bb, _MIN_LENGTH_SQUARED)
+    s = clip((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, _MIN_LENGTH_SQUARED), 0.0, 1.0)
     t = clip((ab * s + db) / bb, 0.0, 1.0)
     return np.stack([clip((ab * t - da) / aa, 0.0, 1.0), t])

@@ -1,12 +1,12 @@
 """The nominal plan of a song: how hands would play it if everything went as modelled.
 
-Presses, fingertips, postures, controls: inverse kinematics of the song, and what makes the servos
-follow. No simulation is needed for it; the search makes up for what is not modelled.
+It has presses, fingertips, postures and controls: inverse kinematics of the song, and its tracking
+by the servos. It needs no simulation; the search makes up for what is not modelled.
 
 A song is planned in windows, one after the other, so that the first action does not wait for the
-last note. The first is short, and each is longer than the one before: the longer a window takes to
-plan, the more music is left to play meanwhile. A window begins with the posture, the motion and the
-presses that the one before has come to, and looks further ahead than it is kept.
+last note. The first window is short, and each is longer than the last: the longer it takes to plan,
+the more music is left to play meanwhile. A window begins with the posture, the motion and the
+presses at the end of the last one, and plans further ahead than it is kept.
 """
 
 from __future__ import annotations
@@ -44,23 +44,23 @@ Fingering = NDArray[np.int8]
 Delays = NDArray[np.integer] | int
 
 # The first guess of inverse kinematics.
-_ARRIVAL = 0.15  # [s] before a press in which the hand is there
-_SMOOTHING = 0.1  # [s] standard deviation of the filter that smooths the way
+_ARRIVAL = 0.15  # [s] before a press by which the hand has arrived
+_SMOOTHING = 0.1  # [s] standard deviation of the filter that smooths its path
 
-_DAMPING = 2e-6  # [m^2] of what lowers a fingertip, which matters where its servos hardly do
+_DAMPING = 2e-6  # [m^2] of `lowering`, for postures in which servos hardly lower the fingertip
 
 # Windows.
-_FIRST_WINDOW = 2.5  # [s] kept: who plays a second has rehearsed more than two
-_GROWTH = 3.0  # times what has been planned is what the next window plans
+_FIRST_WINDOW = 2.5  # [s] kept: to play one second, a hand rehearses more than two
+_GROWTH = 3.0  # the length of the next window, as a multiple of the plan so far
 _MAX_WINDOW = 26.0  # [s] kept
-_OVERLAP = 4.0  # [s] that a window plans besides, and the next one plans again
-_SETTLED = 0.5  # [s] before a window in which presses have ended that do not matter to it
+_OVERLAP = 4.0  # [s] beyond a window that it plans too, and the next one plans again
+_SETTLED = 0.5  # [s] between the end of a press and a window that it does not influence
 
 
 class NominalTrajectory(NamedTuple):
     """A plan for the first T steps of a song, of a scene with A servos and F fingers.
 
-    Its arrays are views of those of the whole song, which go on being written.
+    Its arrays are views of those of the whole song, of which later windows are still written.
     """
 
     presses: list[Press]  # presses that begin in these steps, by time
@@ -92,11 +92,11 @@ class NominalTrajectory(NamedTuple):
 
 
 class PostureTrajectory(NamedTuple):
-    """Postures (S, A) of hands that press keys; the first one is where they are."""
+    """Postures (S, A) of hands that press keys; the first is the current posture."""
 
     postures: Array
-    guess: Array  # (S, A) the first guess, which they are near if they can
-    targets: Targets  # the boxes that their fingertips reach, as far as they can
+    guess: Array  # (S, A) the first guess, which postures stay near
+    targets: Targets  # the boxes of their fingertips
 
     @property
     def correction(self) -> Array:
@@ -114,9 +114,8 @@ class MotionPlanner:
     """A planner of motions of the hands of a scene, in control steps of `dt` [s].
 
     In all methods, `fingers` (T, K) are the numbers of the fingers that should hold the keys down
-    after each step, -1 for none; `release_delays` (T, H) are the steps by which a hand delays its
-    releases, compared with the usual, before what it strikes in each step: an array, or one number
-    for all.
+    after each step, -1 for none. `release_delays` (T, H) are the steps by which a hand releases
+    keys later than usual before its strikes in each step: an array, or one number for all.
     """
 
     def __init__(self, scene: Scene, dt: float, jump_times: JumpTimes | None = None) -> None:
@@ -140,7 +139,7 @@ class MotionPlanner:
     ) -> Iterator[NominalTrajectory]:
         """Plan a song from joint positions (J,), and report the progress of "postures".
 
-        `strikes` says how keys are to begin to sound, where it matters.
+        `strikes` are the targets of timed strikes.
 
         Yields:
             The plan so far, a window longer each time; the last one is of the whole song.
@@ -150,20 +149,20 @@ class MotionPlanner:
         song = self.still(hand_qpos, steps)
         plan = song.part(0, 0)
         while (first := plan.num_steps) < steps:
-            # BLAS shares small products among threads, which takes longer, and other bits come out.
+            # In several threads, BLAS is slower for small products, and rounds differently.
             with threadpool_limits(1):
-                window, kept, correction = self._window(
+                window, length, correction = self._window(
                     plan, fingers, delays, strikes, correction, progress
                 )
-            last = first + kept
-            there, here = song.part(first, last), window.part(0, kept)
-            for values, new in zip(there.arrays, here.arrays, strict=True):
+            last = first + length
+            target, source = song.part(first, last), window.part(0, length)
+            for values, new in zip(target.arrays, source.arrays, strict=True):
                 values[:] = new
-            plan = song.part(0, last)._replace(presses=_joined(plan, window, kept))
+            plan = song.part(0, last)._replace(presses=_joined_presses(plan, window, length))
             yield plan
 
     def still(self, hand_qpos: Array, steps: int) -> NominalTrajectory:
-        """Room for a plan of `steps` steps, which begins with hands that are still."""
+        """Empty plan of `steps` steps, which begins with hands at rest."""
         servos, fingers = len(self._servos.names), len(self._scene.fingertip_sites)
         tracking = Tracking(
             ctrl=np.zeros((steps, servos)),
@@ -185,25 +184,28 @@ class MotionPlanner:
         warm_start: Array | None,
         progress: Progress,
     ) -> tuple[NominalTrajectory, int, Array]:
-        """Plan the steps after `plan`; returns also how many to keep, and the next warm start."""
+        """Plan the steps after `plan`.
+
+        Returns the window, the number of its steps to keep, and the warm start of the next window.
+        """
         first, dt = plan.num_steps, self._dt
         shortest, longest = steps_in(_FIRST_WINDOW, dt), steps_in(_MAX_WINDOW, dt)
-        kept = min(max(round(_GROWTH * first), shortest), longest)
-        last = min(first + kept + steps_in(_OVERLAP, dt), len(fingers))
+        length = min(max(round(_GROWTH * first), shortest), longest)
+        last = min(first + length + steps_in(_OVERLAP, dt), len(fingers))
         if last == len(fingers):
-            kept = last - first
-        since = _first_that_matters(fingers, first, steps_in(_SETTLED, dt))
-        struck = strikes.by_place(since, last)
+            length = last - first
+        since = _first_relevant_row(fingers, first, steps_in(_SETTLED, dt))
+        by_place = strikes.by_place(since, last)
         presses = [
-            press._replace(strike=struck.get((since + press.first - 1, press.key)))
+            press._replace(strike=by_place.get((since + press.first - 1, press.key)))
             for press in self.presses(fingers[since:last], delays[since:last])
         ]
         solved = self.solve(plan, presses, first - since, last - since, progress, warm_start)
         window = self.track(plan, [press.delayed(since) for press in presses], solved)
-        return window, kept, solved.correction[kept + 1 :]
+        return window, length, solved.correction[length + 1 :]
 
     def presses(self, fingers: Fingering, release_delays: Delays = 0) -> list[Press]:
-        """Presses by time, which end in time for the hands to be where they press next."""
+        """Presses by time, which end in time for the hands to reach their next ones."""
         sides, presses = self._scene.sides, presses_of(fingers, self._scene.fingers)
         if np.any(release_delays):
             delays = np.broadcast_to(release_delays, (len(fingers), len(sides)))
@@ -224,10 +226,10 @@ class MotionPlanner:
         warm_start: Array | None = None,
         options: SolverOptions = THOROUGH,
     ) -> PostureTrajectory:
-        """Find the postures before the steps from `first` to `last`, and after the last.
+        """Find the postures from before step `first` to after step `last` - 1.
 
-        The `presses` count steps so. The `plan` of the steps before has one posture or more, and
-        `warm_start` (N, A) is the `correction` found before for the first N postures.
+        The `presses` count steps in the same way. The `plan` of the steps before has one posture or
+        more. `warm_start` (N, A) is the last `correction` of the first N postures.
         """
         dt = self._dt
         targets = targets_of(self._scene, presses, last + 1, dt).part(first, last + 1)
@@ -250,18 +252,18 @@ class MotionPlanner:
     ) -> NominalTrajectory:
         """Find the controls that lead the hands along postures, after the steps of `plan`.
 
-        Forces are compensated in the first `played` steps, all by default.
+        Forces are compensated in the first `played` steps only, by default in all.
         """
         servos, postures, start = self._servos, solved.postures, plan.tracking.expected[-1]
         steps = len(postures) - 1 if played is None else played
         tips, jacobian = self._kinematics.fingertips(postures, slice(1, steps + 1))
         hands = len(self._scene.sides)
-        pressed = solved.targets.force[1 : steps + 1, self._scene.present_fingers]
+        press_force = solved.targets.force[1 : steps + 1, self._scene.present_fingers]
         heights = by_hand(jacobian[:, :, 2], hands)
-        force = pressing_forces(heights, by_hand(pressed, hands))
-        earlier = plan.postures[-2:-1]
-        moving = np.concatenate([earlier, postures[: steps + 2]])
-        reaction = self._reaction.along(moving, self._dt)[len(earlier) :][:steps]
+        force = pressing_forces(heights, by_hand(press_force, hands))
+        previous = plan.postures[-2:-1]
+        trajectory = np.concatenate([previous, postures[: steps + 2]])
+        reaction = self._reaction.along(trajectory, self._dt)[len(previous) :][:steps]
         offset = np.zeros_like(postures[1:])
         offset[:steps] = (force.reshape(steps, -1) + reaction) / servos.stiffness
         tracking = track(servos, postures, start, offset, self._dt)
@@ -270,43 +272,43 @@ class MotionPlanner:
         return NominalTrajectory(presses, postures, tips, tracking, lowering)
 
     def _lowering(self, heights: Array) -> Array:
-        """The `lowering` (S, H, A), by the Jacobian (S, H, F, A) of the heights of fingertips.
+        """The `lowering` (S, H, A), given the Jacobian (S, H, F, A) of the heights of fingertips.
 
-        Changes are least in units of what the planner's search draws.
+        It is the smallest change in units of the noise of the planner's search.
         """
         fingers, count = heights.shape[2:]
         noise, finger = self._servos.noise[:count], self._servos.finger[:count]
         down = -heights * noise * (finger == np.arange(fingers)[:, None])
-        least = down / (np.square(down).sum(axis=-1, keepdims=True) + _DAMPING)
-        return least.sum(axis=2) * noise
+        smallest = down / (np.square(down).sum(axis=-1, keepdims=True) + _DAMPING)
+        return smallest.sum(axis=2) * noise
 
     def _guess(self, plan: NominalTrajectory, presses: list[Press], first: int, last: int) -> Array:
-        """Postures (S, A) at rest over keys that hands press now or next, from where they are."""
-        states, here = last + 1, plan.postures[-1]
+        """Rest postures (S, A) over the current or next keys, after the current posture."""
+        states, current = last + 1, plan.postures[-1]
         lead = steps_in(_ARRIVAL, self._dt)
         paths = dict[Side, Array]()
         for side in self._scene.sides:
             place, count = np.zeros(states), np.zeros(states)
             for press in presses:
                 if press.side == side:
-                    there = slice(max(press.first - lead, 0), press.last)
-                    place[there] += self._forearm_places[press.key, press.finger]
-                    count[there] += 1
+                    rows = slice(max(press.first - lead, 0), press.last)
+                    place[rows] += self._forearm_places[press.key, press.finger]
+                    count[rows] += 1
             if plan.num_steps and not count[first]:
-                place[first], count[first] = self._rest_poses.place(here, side), 1
+                place[first], count[first] = self._rest_poses.place(current, side), 1
             if count.any():
-                known = np.flatnonzero(count)
-                paths[side] = np.interp(np.arange(states), known, place[known] / count[known])
-        if paths:  # filtered together, which takes less time
+                knots = np.flatnonzero(count)
+                paths[side] = np.interp(np.arange(states), knots, place[knots] / count[knots])
+        if paths:  # filtered together, to save time
             width = _SMOOTHING / self._dt
             smooth = gaussian_filter1d(list(paths.values()), width, mode="nearest")
             paths = dict(zip(paths, smooth, strict=True))
         guess = self._rest_poses.at(paths, states)
-        guess[first] = here
+        guess[first] = current
         return guess[first:]
 
 
-def _first_that_matters(fingers: Fingering, first: int, settling: int) -> int:
+def _first_relevant_row(fingers: Fingering, first: int, settling: int) -> int:
     """First row of `fingers` (T, K) with presses within `settling` rows before `first`."""
     settled = max(first - settling, 0)
     held = fingers[settled] >= 0
@@ -315,17 +317,17 @@ def _first_that_matters(fingers: Fingering, first: int, settling: int) -> int:
     return max(min(begins, default=settled) - 1, 0)
 
 
-def _joined(plan: NominalTrajectory, window: NominalTrajectory, steps: int) -> list[Press]:
-    """Presses of `plan` and of the first steps of the window that follows."""
+def _joined_presses(plan: NominalTrajectory, window: NominalTrajectory, steps: int) -> list[Press]:
+    """Presses of `plan` and of the first `steps` of the window that follows."""
     first = plan.num_steps
     later = [
         press for press in window.presses if press.first <= first + steps and press.last > first
     ]
     since = min((press.first for press in later), default=first)
     settled = bisect_left(plan.presses, since, key=lambda press: press.first)
-    known = {(press.first, press.key): press for press in plan.presses[settled:]}
+    by_begin = {(press.first, press.key): press for press in plan.presses[settled:]}
     for press in later:
         begin = press.first, press.key
-        # What comes before a press that had begun, the later window does not know.
-        known[begin] = press._replace(jumps_to=known.get(begin, press).jumps_to)
-    return plan.presses[:settled] + [known[begin] for begin in sorted(known)]
+        # The window does not know what comes before a press that had begun.
+        by_begin[begin] = press._replace(jumps_to=by_begin.get(begin, press).jumps_to)
+    return plan.presses[:settled] + [by_begin[begin] for begin in sorted(by_begin)]

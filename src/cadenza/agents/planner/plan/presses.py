@@ -12,20 +12,20 @@ from cadenza.agents.agent import Array, Ids, Mask, steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
 from cadenza.hands.hand import Hand
 
-RISE = 0.05  # time in which a finger gets off a key [s]
+RISE = 0.05  # time in which a finger rises off a key [s]
 
 
 class Strike(NamedTuple):
-    """How a key is to begin to sound."""
+    """The target of a strike: when and how fast its key is to begin to sound."""
 
-    time: float  # when, from the beginning of the control step on [s]
+    time: float  # the time from the beginning of the control step on [s]
     speed: float  # the angular speed of the key then [rad/s]
 
 
 class Press(NamedTuple):
-    """A finger, by its number, holds `key` down in the states `first` up to, not including, `last`.
+    """A finger that holds a key down in the states from `first` up to, not including, `last`.
 
-    State t + 1 follows from step t; state 0 is where the hands start.
+    State t + 1 follows from step t; state 0 is the start.
     """
 
     side: Side
@@ -36,9 +36,9 @@ class Press(NamedTuple):
     jumps_off: bool = False  # whether the hand leaves the key in a jump
     jumps_to: bool = False  # whether the hand comes to the key in a jump, and to no other key
     from_above: bool = False  # whether the finger comes to the key from above all keys
-    # States by which the hand delays its releases before this press, compared with the usual
+    # States by which the hand releases keys later than usual before this press
     release_delay: int = 0
-    strike: Strike | None = None  # how the key is to begin to sound, if it matters
+    strike: Strike | None = None  # the target of its strike; None if only the step matters
 
     def delayed(self, states: int) -> Press:
         """This press, a number of states later."""
@@ -48,20 +48,22 @@ class Press(NamedTuple):
 def presses_of(fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
     """Presses by time, of the fingers (T, K) that should hold keys down after each step."""
     edges = np.diff(fingers, axis=0, prepend=NO_FINGER, append=NO_FINGER) != 0
-    keys_of, states = np.nonzero(edges.T)  # of a key one after the other, the last one is an end
+    keys_of, states = np.nonzero(edges.T)  # by key, then by time; the last edge of a key is an end
     first, last, key = states[:-1], states[1:], keys_of[:-1]
-    held = np.flatnonzero(first < last)
-    held = held[fingers[first[held], key[held]] != NO_FINGER]
-    held = held[np.lexsort((key[held], first[held]))]
-    first, last, key = first[held], last[held], key[held]
+    rows_of_presses = np.flatnonzero(first < last)
+    rows_of_presses = rows_of_presses[
+        fingers[first[rows_of_presses], key[rows_of_presses]] != NO_FINGER
+    ]
+    rows_of_presses = rows_of_presses[np.lexsort((key[rows_of_presses], first[rows_of_presses]))]
+    first, last, key = first[rows_of_presses], last[rows_of_presses], key[rows_of_presses]
     rows = np.stack([fingers[first, key], key, first + 1, last + 1], axis=1).tolist()
     return [Press(SIDES[hands.hand_of(finger)], finger, *rest) for finger, *rest in rows]
 
 
-_JUMP_TIME = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
-_MIN_LENGTH = 0.05  # [s] that a press lasts
-_FAST_REPEAT = 0.25  # [s] between notes of a key, below which they would become too short
-_DIGITS = 9  # to which times are rounded, so that whole steps are not rounded up to the next
+_JUMP_TIME = 0.1  # maximum time between two presses between which a hand jumps [s]
+_MIN_LENGTH = 0.05  # minimum duration of a press [s]
+_FAST_REPEAT = 0.25  # interval of notes of a key, below which they would become too short [s]
+_DIGITS = 9  # to which times are rounded, so that whole steps are not rounded up
 
 
 def release_in_time(
@@ -69,11 +71,15 @@ def release_in_time(
 ) -> list[Press]:
     """Cut presses short where finger or hand must be elsewhere soon after, and mark jumps.
 
-    A press lasts `_MIN_LENGTH` at least, and is not cut if the hand can hold it together with all
-    that it strikes.
+    A press lasts at least `_MIN_LENGTH`. It is not cut if the hand can hold it together with the
+    next keys.
 
-    The presses are by time, then by key. `places` (K, F) are the positions of a forearm, from its
-    mount, when one of its fingers presses a key at rest [m]; `dt` is the control step [s].
+    Args:
+        presses: by time, then by key.
+        places: (K, F) positions of a forearm from its mount at which a finger is over a key [m].
+        is_black: (K,) whether keys are black.
+        dt: control step [s].
+        hand: the hand.
     """
     if not presses:
         return []
@@ -87,7 +93,7 @@ def release_in_time(
 
 
 class _TimeLine:
-    """P presses by hand, time and key; the left hand's follow long after the right one's."""
+    """P presses by hand, time and key, on a time line on which the left hand plays long after."""
 
     def __init__(
         self, presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
@@ -97,16 +103,16 @@ class _TimeLine:
         widest = self._times.seconds(np.ptp(places), 2, 2)
         self._ahead, self._shortest = self._steps(widest), steps_in(_MIN_LENGTH, dt)
         rows = np.array([(p.finger, p.key, p.first, p.last, p.release_delay) for p in presses])
-        left = rows[:, 0] >= len(hand.fingers)
-        self._index = np.argsort(left, kind="stable")
+        is_left = rows[:, 0] >= len(hand.fingers)
+        self._index = np.argsort(is_left, kind="stable")
         self._number, self._key, first, last, delay = rows[self._index].T
-        left = left[self._index]
-        self._since = left * (last.max() + self._ahead + 1)  # where the line of a hand begins
+        is_left = is_left[self._index]
+        self._since = is_left * (last.max() + self._ahead + 1)  # where the part of a hand begins
         self._first, self._last = first + self._since, last + self._since
         self._place = places[self._key, self._number]
         self._finger = self._number % len(hand.fingers)
-        self._outwards = places[self._key, 0] * np.where(left, -1, 1)
-        # Chords: what a hand strikes at once, be it a single key.
+        self._outwards = places[self._key, 0] * np.where(is_left, -1, 1)
+        # Chords: one key or more that a hand strikes together.
         self._strikes = np.append(True, self._first[1:] != self._first[:-1])
         self._heads = np.flatnonzero(self._strikes)
         self._chord = np.cumsum(self._strikes) - 1
@@ -114,7 +120,7 @@ class _TimeLine:
         self._begins, self._delay = self._first[self._heads], delay[self._heads]
 
     def release_for_jumps(self) -> None:
-        """Cut presses where the hand is to strike what it does not reach from there."""
+        """Cut presses before chords that the hand does not reach from there."""
         heads, chord, begins, sizes = self._heads, self._chord, self._begins, self._sizes
         until = np.maximum.reduceat(self._last, heads) + self._ahead
         ends = np.append(heads, len(chord))
@@ -125,16 +131,20 @@ class _TimeLine:
         spans = self._reach.spans(
             self._finger[press], self._finger[other], self._outwards[other] - self._outwards[press]
         )
-        struck = np.flatnonzero(self._strikes[other])
-        spanned = np.logical_and.reduceat(spans, struck)
-        press, struck = press[struck], chord[other[struck]]
-        here, first, last = chord[press], begins[struck], self._last[press]
+        heads_of_pairs = np.flatnonzero(self._strikes[other])
+        spanned = np.logical_and.reduceat(spans, heads_of_pairs)
+        press, heads_of_pairs = press[heads_of_pairs], chord[other[heads_of_pairs]]
+        here, first, last = chord[press], begins[heads_of_pairs], self._last[press]
         holding = last > first + self._shortest  # while the hand plays on
         means = np.add.reduceat(self._place, heads) / sizes
-        distance = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
-        jump = self._steps(self._times.seconds(distance, sizes[here], sizes[struck], holding))
+        distance = np.abs(
+            means[heads_of_pairs] - np.where(holding, self._place[press], means[here])
+        )
+        jump = self._steps(
+            self._times.seconds(distance, sizes[here], sizes[heads_of_pairs], holding)
+        )
         in_time = np.maximum(
-            first - np.maximum(jump - self._delay[struck], 1), begins[here] + self._shortest
+            first - np.maximum(jump - self._delay[heads_of_pairs], 1), begins[here] + self._shortest
         )
         too_late = (jump > 0) & ~spanned & (first <= last + self._ahead)
         np.minimum.at(self._last, press[too_late], in_time[too_late])
@@ -144,14 +154,14 @@ class _TimeLine:
         return np.ceil(np.round(seconds / self._dt, _DIGITS)).astype(np.intp)
 
     def release_for_next_keys(self) -> None:
-        """Cut presses whose finger presses another key next, or whose key is pressed again."""
+        """Cut presses whose finger presses another key next, and those whose key is next again."""
         press, following = self._in_turn(self._number)
         moves = self._key[press] != self._key[following]
         self._release(press[moves], following[moves])
         self._release(*self._in_turn(self._key))
 
     def _in_turn(self, of: Ids) -> tuple[Ids, Ids]:
-        """The presses, and the next one of each, of the same finger or key `of` (P,)."""
+        """Presses, and the next press of the same finger or key; `of` (P,) are fingers or keys."""
         order = np.lexsort((self._first, of))
         press, following = order[:-1], order[1:]
         same = of[press] == of[following]
@@ -168,19 +178,19 @@ class _TimeLine:
         np.minimum.at(self._last, press, np.maximum(begins - needed, first + self._shortest))
 
     def rows(self) -> Iterator[tuple[int, int, bool, bool]]:
-        """Each press: its index, its end, and whether the hand jumps off it, and to it.
+        """Yield of each press its index, its end, and whether the hand jumps off it, and to it.
 
-        A hand jumps between presses at most `_JUMP_TIME` apart and beyond reach; to single keys
-        only.
+        A hand jumps between presses that are at most `_JUMP_TIME` apart and beyond reach. It jumps
+        to single keys only.
         """
         first, last, place = self._first, self._last, self._place
         soon = last + steps_in(_JUMP_TIME, self._dt)
         press, other = _pairs(*(first.searchsorted(time, "right") for time in (last, soon)))
         far = np.abs(place[other] - place[press]) > self._times.within_reach
-        left, reached = (np.zeros(len(first), bool) for _ in range(2))
-        left[press[far]], reached[other[far]] = True, True
-        reached &= self._sizes[self._chord] == 1
-        columns = self._index, last - self._since, left, reached
+        jumps_off, jumps_to = (np.zeros(len(first), bool) for _ in range(2))
+        jumps_off[press[far]], jumps_to[other[far]] = True, True
+        jumps_to &= self._sizes[self._chord] == 1
+        columns = self._index, last - self._since, jumps_off, jumps_to
         return zip(*(column.tolist() for column in columns), strict=True)
 
 

@@ -43,16 +43,16 @@ class RestPoses:
         self._points = kinematics.points(self._rest[None])[0]
         slides = servos.along_keyboard
         self._slides = dict(zip(scene.sides, slides, strict=bool(slides)))
-        self._of_arms = {} if scene.hand.body.mount is None else self._arm_postures()
+        self._arm_postures_of = {} if scene.hand.body.mount is None else self._arm_postures()
 
     def at(self, places: dict[Side, Array], num_states: int) -> Array:
         """Postures (S, A) of hands at places (S,); hands without places are at their mounts."""
         servos, postures = self._servos, np.tile(self._rest, (num_states, 1))
         for side, place in places.items():
-            if side in self._of_arms:
-                known, there = self._of_arms[side]
-                for servo in np.flatnonzero(np.ptp(there, axis=0)):
-                    postures[:, servo] = np.interp(place, known, there[:, servo])
+            if side in self._arm_postures_of:
+                knots, knot_postures = self._arm_postures_of[side]
+                for servo in np.flatnonzero(np.ptp(knot_postures, axis=0)):
+                    postures[:, servo] = np.interp(place, knots, knot_postures[:, servo])
             elif side in self._slides:
                 slide = self._slides[side]
                 postures[:, slide] = np.clip(place, servos.low[slide], servos.high[slide])
@@ -91,8 +91,8 @@ class RestPoses:
         """Posture nearest to `before`, by Gauss-Newton over the arm, with a hand at a place."""
         scene, servos = self._scene, self._servos
         tips = scene.fingertips_on(side)
-        own = range(len(servos.names))[scene.servos_on(side)]
-        arm = [a for a in own if servos.finger[a] < 0]
+        hand_servos = range(len(servos.names))[scene.servos_on(side)]
+        arm = [a for a in hand_servos if servos.finger[a] < 0]
         finger, link, axis = np.indices(self._points[tips].shape).reshape(3, -1)
         finger += tips.start
         goal, posture = self._points[finger, link], before.copy()
@@ -103,7 +103,7 @@ class RestPoses:
             points = links.points.reshape(self._points.shape)[finger, link]
             residual = ((goal - points) * directions).sum(axis=1)
             jacobian = links.along(np.zeros_like(finger), finger, link, points, directions)
-            jacobian = jacobian[:, np.array(arm) - own.start]
+            jacobian = jacobian[:, np.array(arm) - hand_servos.start]
             normal = jacobian.T @ jacobian + _NEAR_BEFORE * np.eye(len(arm))
             gradient = jacobian.T @ residual + _NEAR_BEFORE * (before - posture)[arm]
             posture[arm] += np.linalg.solve(normal, gradient)

@@ -14,13 +14,13 @@ from cadenza.tasks.goal_track import GoalTrack
 
 
 class SongPlan(NamedTuple):
-    """The plan of a song for the hands of a scene, as far as it goes."""
+    """The plan of a song, or of its first steps, for the hands of a scene."""
 
     scene: Scene  # the hands and the keys
     track: GoalTrack  # the song, with the fingers that play it
     goals: Goals  # goals of the whole track
     nominal: NominalTrajectory  # the trajectory of the first steps
-    strikes: PlannedStrikes = NO_STRIKES  # how keys are to begin to sound, as far as it matters
+    strikes: PlannedStrikes = NO_STRIKES  # targets of timed strikes
 
     @property
     def complete(self) -> bool:
@@ -52,37 +52,36 @@ def song_plans(
     strikes: bool = False,
     scene: Scene | None = None,
 ) -> Iterator[SongPlan]:
-    """Plan what the hands of a task are to play.
+    """Plan a song for the hands of a task.
 
     Raises CadenzaError if there are no hands in the scene.
 
     Args:
         track: the song.
-        start: (J,) joint positions of the hands where the song begins [m, rad].
+        start: (J,) joint positions of the hands at the beginning [m, rad].
         progress: receives the stages "fingers" and "postures".
         release_delays: see `MotionPlanner`.
-        strikes: whether keys are to sound at the times within control steps, and as loud, as the
-            song has it; otherwise only in the right control steps.
+        strikes: whether strikes have the times within control steps, and the loudness, of the song;
+            otherwise, only the control steps matter.
         scene: the hands to plan for, by default those of `planning_scene`.
 
     Yields:
-        The plan as far as it goes, every time a few more seconds of music; the last one is of the
-        whole song.
+        Plans that each go on for some more seconds of music; the last is of the whole song.
     """
     scene = scene or planning_scene(track)
     track = track.fingered(partial(progress, "fingers"))
     goals, dt = track.goals, track.config.control_timestep
-    struck = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
+    planned = planned_strikes(goals.onsets, scene, dt) if strikes else NO_STRIKES
     planner = MotionPlanner(scene, dt)
-    for nominal in planner.plans(goals.fingers, start, progress, release_delays, struck):
-        yield SongPlan(scene, track, goals, nominal, struck)
+    for nominal in planner.plans(goals.fingers, start, progress, release_delays, planned):
+        yield SongPlan(scene, track, goals, nominal, planned)
 
 
 def planning_scene(track: GoalTrack) -> Scene:
-    """Scene that a task's options describe, whatever was randomised in the task's own scene.
+    """Scene of a task's options, without the randomisation of the task's own scene.
 
-    It is the same object for the same options, and must not be changed. Raises CadenzaError if
-    there are no hands in it.
+    It is one object for the same options, and must not be changed. Raises CadenzaError if there are
+    no hands in it.
     """
     if not track.scene.sides:
         raise CadenzaError(

@@ -1,8 +1,8 @@
 """Practice of one hand where it has a loss.
 
-The hand begins a little before the fault, and rolls out many perturbations of the trajectory, by
-itself and with the keys near it only. Whether the best of them is of use shows in the whole scene,
-where the other hand may be in the way.
+From a little before the fault, many perturbations of the trajectory are rolled out, with this hand
+and the keys near it only. The best is then tested in the whole scene, where the other hand may be
+in the way.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,14 +28,14 @@ from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.key_crossings import last_key_events
 from cadenza.sim.planning_simulation import PlanningSimulation
 
-_CANDIDATES = 18  # perturbations that are drawn
-# Scales of the correction that takes fingertips to their targets; each is another candidate. The
-# first two are for all servos, the others for servos that are drawn.
+_CANDIDATES = 18  # random perturbations
+# Scales of the correction that takes fingertips to their targets, a candidate each. The first two
+# are for all servos, the others for a random choice of servos.
 _CORRECTION_SCALES = (1.0, 2.0, 1.0, 2.0, 0.5, 1.5)
-_LEAD = 0.6  # [s] at most from the beginning of a change to the fault
+_MAX_LEAD = 0.6  # [s] from the beginning of a change to the fault
 _HORIZON = 0.6  # [s] for which a change is evaluated after its end
-_REFINEMENTS = 6  # rollouts at most in which the strikes of a change are refined
-_REFINEMENTS_OF_ALL = 12  # the same of those that are refined for their own sake
+_MAX_REFINEMENTS = 6  # rollouts that refine the strikes of a change
+_MAX_REFINEMENTS_OF_ALL = 12  # rollouts that refine strikes without another change
 
 
 class ChangedControls(NamedTuple):
@@ -51,8 +51,8 @@ class Attempt(NamedTuple):
 
     step: int  # the step with the loss
     first: int  # the step at which perturbations began
-    change: ChangedControls | None  # the best of them, if one was better than the trajectory
-    simulated: int  # control steps that were simulated
+    change: ChangedControls | None  # the best perturbation; None if the trajectory is better
+    simulated: int  # the number of control steps simulated
 
 
 @dataclass
@@ -73,8 +73,8 @@ class _PracticeCost:
         costs, substep = [], self.dt / (key_paths.shape[1] - 1)
         events = map(KeyEvents, *last_key_events(key_paths, self.sounds_from, substep))
         steps = zip(key_paths, events, fingertips, strict=True)
-        for step, (key_path, happened, tips) in enumerate(steps, self.first + first):
-            evaluation = self.losses.after(step, key_path[-1], happened, tips, before, self.keys)
+        for step, (key_path, step_events, tips) in enumerate(steps, self.first + first):
+            evaluation = self.losses.after(step, key_path[-1], step_events, tips, before, self.keys)
             before = evaluation.history
             costs.append((evaluation.cost, 0, before))
         return costs
@@ -88,7 +88,7 @@ class HandPractice:
     """
 
     def __init__(self, plan: SongPlan, side: Side, goals: HandGoals) -> None:
-        """Prepare practice by the plan of the whole song."""
+        """Prepare practice of the whole song."""
         dt = plan.track.config.control_timestep
         alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
@@ -99,7 +99,7 @@ class HandPractice:
         self._rollouts = Rollouts(self._simulator)
         self._refinement = StrikeRefinement(self._servos, strike_model(alone, dt))
         self._keyboard, self._dt = plan.scene.keyboard, dt
-        self._lead, self._horizon = steps_in(_LEAD, dt), steps_in(_HORIZON, dt)
+        self._lead, self._horizon = steps_in(_MAX_LEAD, dt), steps_in(_HORIZON, dt)
         self._keys = plan.goals.keys
 
     def attempt(
@@ -111,19 +111,19 @@ class HandPractice:
         scene_before: Callable[[int], PlanningSimulation],
         rng: np.random.Generator,
     ) -> Attempt:
-        """Try to lower the loss at a step that is drawn.
+        """Try to lower the loss at a random step.
 
-        Steps from `first` on may change, and are drawn by `weight` (L,), which need not sum to 1;
-        changes may be evaluated up to `last`.
+        It is drawn from the steps from `first` on, with probabilities proportional to `weight`
+        (L,). Steps from `first` on may change, and changes are evaluated up to `last` at most.
         """
         step = first + int(rng.choice(len(weight), p=weight / weight.sum()))
-        if rng.random() < 0.5:  # where a key went wrong, as often as where it still is
+        if rng.random() < 0.5:  # half of the time, go back to where the key went wrong
             step = self._first_wrong(trajectory, first, step)
         begin = max(step - int(rng.integers(1, self._lead + 1)), first)
-        changed = min(begin + self._perturbations.length(rng), last)
-        end = min(max(changed, step + 1) + self._horizon, last)
+        change_end = min(begin + self._perturbations.length(rng), last)
+        end = min(max(change_end, step + 1) + self._horizon, last)
         path, simulation = trajectory.expected[:, self.servos, 0], scene_before(begin)
-        offsets = self._perturbations.draw(path, begin, changed, _CANDIDATES, rng)
+        offsets = self._perturbations.draw(path, begin, change_end, _CANDIDATES, rng)
         self._start_rollouts(trajectory, simulation, offsets, begin, end)
         change = self._best_change(offsets, trajectory, begin, end, rng)
         return Attempt(step, begin, change, self._rollouts.simulated)
@@ -136,24 +136,24 @@ class HandPractice:
         end: int,
         scene_before: Callable[[int], PlanningSimulation],
     ) -> Attempt:
-        """Refine the strikes from `first` to before `last`: their times, and how loud they are.
+        """Refine the times and the loudness of the strikes from `first` to before `last`.
 
         Changes are evaluated up to `end`.
         """
-        still = np.zeros((1, last - first, len(self._servos.noise)))
-        self._start_rollouts(trajectory, scene_before(first), still, first, end)
+        no_offsets = np.zeros((1, last - first, len(self._servos.noise)))
+        self._start_rollouts(trajectory, scene_before(first), no_offsets, first, end)
         unchanged = self._unchanged(trajectory, first, end)
-        change, rollout = self._refined(*unchanged, last - first, _REFINEMENTS_OF_ALL)
+        change, rollout = self._refine(*unchanged, last - first, _MAX_REFINEMENTS_OF_ALL)
         better = rollout.cost < unchanged[1].cost
         return Attempt(first, first, change if better else None, self._rollouts.simulated)
 
     def _first_wrong(self, trajectory: Trajectory, first: int, step: int) -> int:
-        """The step, from `first` on, since which a key has been wrong that is wrong at `step`."""
+        """Step, from `first` on, since which the keys that are wrong at `step` have been wrong."""
         rows = slice(first, step + 1)
         may_be_wrong = self._goals.keys | ~self._keys
         wrong = (trajectory.sounding ^ self._keys)[rows] & may_be_wrong[rows]
-        fine = ~(wrong & wrong[-1]).any(axis=1)
-        return min(first + int(np.append(-1, np.flatnonzero(fine))[-1]) + 1, step)
+        is_right = ~(wrong & wrong[-1]).any(axis=1)
+        return min(first + int(np.append(-1, np.flatnonzero(is_right))[-1]) + 1, step)
 
     def _start_rollouts(
         self,
@@ -163,10 +163,10 @@ class HandPractice:
         first: int,
         end: int,
     ) -> None:
-        """Make rollouts start where the hand is, with all keys that it may come over."""
+        """Make rollouts start from the state of the hand, with all keys that it may pass."""
         tips = self._goals.fingertips[first : end + 1, :, 1]
-        here = simulation.state.fingertip_xpos[0, self._goals.fingers, 1]
-        low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))
+        tips_now = simulation.state.fingertip_xpos[0, self._goals.fingers, 1]
+        low, high = (edge(np.append(tips, tips_now)) for edge in (np.min, np.max))
         slides = offsets[..., self._servos.along_keyboard]  # of hands that slide
         self._simulator.start_from(
             simulation, low + slides.min(initial=0.0), high + slides.max(initial=0.0)
@@ -187,92 +187,93 @@ class HandPractice:
         The strikes of the cheapest are refined. Returns the controls of the cheapest rollout, None
         if the trajectory is as cheap.
         """
-        steps, changed = end - first, offsets.shape[1]
-        as_it_is, unchanged = self._unchanged(trajectory, first, end)
-        offsets = np.concatenate([self._corrections(unchanged, first, changed, rng), offsets])
-        # How much each servo's target is moved before each step.
-        offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
-        changes, controls = zip(*(self._candidate(as_it_is, each) for each in offsets), strict=True)
+        steps, length = end - first, offsets.shape[1]
+        base, unchanged = self._unchanged(trajectory, first, end)
+        offsets = np.concatenate([self._corrections(unchanged, first, length, rng), offsets])
+        # Offsets of each servo's target before each step.
+        offsets = np.pad(offsets, ((0, 0), (1, steps - length), (0, 0)))
+        changes, controls = zip(*(self._candidate(base, rows) for rows in offsets), strict=True)
         rollouts = self._rollouts.simulate_all(controls, unchanged.cost)
-        made = zip((as_it_is, *changes), (unchanged, *rollouts), strict=True)
-        change, rollout = self._refined(*min(made, key=_cost), steps, _REFINEMENTS)
+        candidates = zip((base, *changes), (unchanged, *rollouts), strict=True)
+        change, rollout = self._refine(*min(candidates, key=_cost), steps, _MAX_REFINEMENTS)
         return change if rollout.cost < unchanged.cost else None
 
     def _unchanged(
         self, trajectory: Trajectory, first: int, end: int
     ) -> tuple[ChangedControls, Rollout]:
-        """The controls from `first` to before `end` as they are, and the rollout of them."""
+        """The controls from `first` to before `end` as they are, and their rollout."""
         rows = slice(first, end)
-        as_it_is = ChangedControls(
+        base = ChangedControls(
             first, trajectory.ctrl[rows, self.servos], trajectory.expected[rows, self.servos]
         )
-        still = np.zeros((end - first + 1, as_it_is.ctrl.shape[1]))
-        return as_it_is, self._rollouts.simulate(self._candidate(as_it_is, still)[1])
+        no_offsets = np.zeros((end - first + 1, base.ctrl.shape[1]))
+        return base, self._rollouts.simulate(self._candidate(base, no_offsets)[1])
 
-    def _refined(
-        self, change: ChangedControls, rollout: Rollout, struck: int, rollouts: int
+    def _refine(
+        self, change: ChangedControls, rollout: Rollout, num_steps: int, max_rollouts: int
     ) -> tuple[ChangedControls, Rollout]:
-        """The change with its strikes refined, where that is cheaper, and the rollout of it.
+        """Refine the strikes of the first `num_steps` of a change.
 
-        Those of the first `struck` steps are refined, in `rollouts` rollouts at most.
+        Returns the cheapest change, and its rollout.
         """
-        made, still = [(change, rollout)], np.zeros((len(change.ctrl) + 1, change.ctrl.shape[1]))
+        candidates = [(change, rollout)]
+        no_offsets = np.zeros((len(change.ctrl) + 1, change.ctrl.shape[1]))
 
         def simulate(ctrl: Array) -> Rollout:
-            refined, controls = self._candidate(change._replace(ctrl=ctrl), still)
-            made.append((refined, self._rollouts.simulate(controls)))
-            return made[-1][1]
+            candidate, controls = self._candidate(change._replace(ctrl=ctrl), no_offsets)
+            candidates.append((candidate, self._rollouts.simulate(controls)))
+            return candidates[-1][1]
 
         steps = np.arange(change.first, change.first + len(change.ctrl))
         keys, jacobian = self._simulator.keys, self._simulator.fingertip_jacobian
-        strikes = HorizonStrikes(self._goals, steps, self._keyboard, keys, struck)
-        self._refinement.refine(change.ctrl, rollout, strikes, jacobian, simulate, rollouts)
-        return min(made, key=_cost)
+        strikes = HorizonStrikes(self._goals, steps, self._keyboard, keys, num_steps)
+        self._refinement.refine(change.ctrl, rollout, strikes, jacobian, simulate, max_rollouts)
+        return min(candidates, key=_cost)
 
     def _corrections(
-        self, unchanged: Rollout, first: int, changed: int, rng: np.random.Generator
+        self, unchanged: Rollout, first: int, length: int, rng: np.random.Generator
     ) -> Array:
-        """Offsets (C, L, A) that take all or some fingertips nearer to where the plan has them."""
-        states = slice(first + 1, first + 1 + changed)
-        off = self._goals.fingertips[states] - np.array(unchanged.fingertips[:changed])
+        """Offsets (C, L, A) that take all or some fingertips nearer to their planned places."""
+        states = slice(first + 1, first + 1 + length)
+        error = self._goals.fingertips[states] - np.array(unchanged.fingertips[:length])
         weight = self._goals.weight[states] / self._goals.weight.max()
-        jacobian = self._simulator.fingertip_jacobian(np.array(unchanged.hand_qpos[:changed]))
-        change = servo_corrections(off, weight, jacobian, self._servos)
-        change = change[np.minimum(np.arange(1, changed + 1), changed - 1)]
-        servos = [np.ones(change.shape[1], bool)] * 2
-        servos += [self._perturbations.servos(rng) for _ in _CORRECTION_SCALES[2:]]
-        scaled = zip(_CORRECTION_SCALES, servos, strict=True)
-        return np.stack([scale * change * each for scale, each in scaled])
+        jacobian = self._simulator.fingertip_jacobian(np.array(unchanged.hand_qpos[:length]))
+        change = servo_corrections(error, weight, jacobian, self._servos)
+        change = change[np.minimum(np.arange(1, length + 1), length - 1)]
+        masks = [np.ones(change.shape[1], bool)] * 2
+        masks += [self._perturbations.servos(rng) for _ in _CORRECTION_SCALES[2:]]
+        scales = zip(_CORRECTION_SCALES, masks, strict=True)
+        return np.stack([scale * change * mask for scale, mask in scales])
 
     def _candidate(
         self, base: ChangedControls, offsets: Array
     ) -> tuple[ChangedControls, Iterator[Array]]:
-        """Other controls, with offsets (L + 1, A) to the positions of servos.
+        """Candidate controls, with offsets (L + 1, A) to the positions of servos.
 
-        Returns the change, which a rollout fills in, and the controls for this rollout.
+        Returns the change, which its rollout fills in, and the controls for this rollout.
         """
         first, ctrl, expected = base.first, base.ctrl.copy(), base.expected.copy()
         rows = slice(first, first + len(ctrl))
 
         def controls() -> Iterator[Array]:
             for k, gain in enumerate(self._gain[rows]):
-                here = self._servos.state(*self._simulator.hand_joints())
-                off = here - expected[k]
-                off[:, 0] -= offsets[k]
-                expected[k] = here
-                feedback = (gain * off).sum(axis=1)
+                state = self._servos.state(*self._simulator.hand_joints())
+                error = state - expected[k]
+                error[:, 0] -= offsets[k]
+                expected[k] = state
+                feedback = (gain * error).sum(axis=1)
                 ctrl[k] = self._servos.clip(ctrl[k] - feedback + offsets[k + 1])
                 yield ctrl[k]
 
         return ChangedControls(first, ctrl, expected), controls()
 
 
-def _cost(made: tuple[ChangedControls, Rollout]) -> float:
-    return made[1].cost
+def _cost(candidate: tuple[ChangedControls, Rollout]) -> float:
+    return candidate[1].cost
 
 
 _LENGTHS = (0.1, 0.8)  # [s] from a single stroke to a short passage
-_SHIFTS = 0.15  # [s] by which servos may be early or late
+_MAX_SHIFT = 0.15  # [s] by which servos may be early or late
 _NOISE_EXPONENTS = (-0.7, 0.5)  # powers of ten, times a servo's own noise: 0.2 to 3 times
 _SHARES = (0.2, 1.2)  # of the distance to another posture
 _ALL_SERVOS, _ONE_FINGER = 0.25, 0.35  # how often all servos change, or those of one finger
@@ -280,7 +281,7 @@ _SPARSE = 0.3  # share of the servos that change otherwise
 
 
 class Perturbations:
-    """Random offsets of the positions that the servos of one hand follow."""
+    """Random offsets to the target positions of the servos of one hand."""
 
     def __init__(self, scene: Scene, planned: Array, dt: float) -> None:
         """Prepare perturbations of the hand that is alone in a scene.
@@ -291,10 +292,10 @@ class Perturbations:
         self._sigma, self._finger, self._lift = servos.noise, servos.finger, servos.lift
         self._planned = planned
         self._lengths = [steps_in(seconds, dt) for seconds in _LENGTHS]
-        self._shift = steps_in(_SHIFTS, dt)
+        self._shift = steps_in(_MAX_SHIFT, dt)
 
     def length(self, rng: np.random.Generator) -> int:
-        """Draw how many steps the next perturbation lasts."""
+        """Draw the number of steps of a perturbation."""
         return int(rng.integers(self._lengths[0], self._lengths[1] + 1))
 
     def draw(
@@ -302,9 +303,9 @@ class Perturbations:
     ) -> Array:
         """Draw offsets (N, L, A) for `count` candidates over the L steps from `first` to `last`.
 
-        Half are noise, interpolated from the first step to the last or constant. The others move
-        earlier or later, go some of the way to the plan, stay where they are, or lift the hand and
-        bring it down again. `path` (T, A) are the positions before each step.
+        Half are noise, constant or interpolated from the first step to the last. The others move
+        earlier or later, go some of the way to the plan, hold the current posture, or lift the hand
+        for a time. `path` (T, A) are the positions before each step.
         """
         kinds = (
             self._noise,
@@ -315,8 +316,10 @@ class Perturbations:
             self._lift_hand,
         )
         after = np.minimum(np.arange(first, last) + 1, len(path) - 1)
-        drawn = [kinds[i % len(kinds)](path, after, rng) * self.servos(rng) for i in range(count)]
-        return np.stack(drawn)
+        candidates = [
+            kinds[i % len(kinds)](path, after, rng) * self.servos(rng) for i in range(count)
+        ]
+        return np.stack(candidates)
 
     def _noise(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         ends = rng.standard_normal((2, len(self._sigma))) * self._sigma
@@ -328,13 +331,13 @@ class Perturbations:
         return 10 ** rng.uniform(*_NOISE_EXPONENTS) * np.tile(noise, (len(after), 1))
 
     def _lift_hand(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
-        lifted = np.arange(len(after)) < rng.integers(1, len(after) + 1)
-        return rng.uniform(*_SHARES) * lifted[:, None] * self._lift
+        is_lifted = np.arange(len(after)) < rng.integers(1, len(after) + 1)
+        return rng.uniform(*_SHARES) * is_lifted[:, None] * self._lift
 
     def _shift_in_time(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         first, last = rng.uniform(-self._shift, self._shift, 2)
-        when = np.clip(after + np.linspace(first, last, len(after)), 0, len(path) - 1)
-        before, part = when.astype(np.intp), (when % 1.0)[:, None]
+        times = np.clip(after + np.linspace(first, last, len(after)), 0, len(path) - 1)
+        before, part = times.astype(np.intp), (times % 1.0)[:, None]
         later = np.minimum(before + 1, len(path) - 1)
         return (1 - part) * path[before] + part * path[later] - path[after]
 
@@ -343,7 +346,7 @@ class Perturbations:
         return rng.uniform(*_SHARES) * (towards - path[after])
 
     def servos(self, rng: np.random.Generator) -> Mask:
-        """Draw which servos (A,) change."""
+        """Draw a mask (A,) of the servos that change."""
         kind = rng.random()
         if kind < _ALL_SERVOS:
             return np.ones(len(self._sigma), bool)

@@ -1,7 +1,7 @@
-"""The trajectories that practice begins with: the planner's, then variants where it has a loss.
+"""The initial trajectories of practice: the planner's, then variants where it has a loss.
 
 In between, the best passages of all trajectories are spliced together, and the hands follow the
-result. The best trajectory of all is where practice begins.
+result. Practice begins with the best trajectory of all.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,14 +33,14 @@ T = TypeVar("T", Variant, Trajectory)
 
 _CHUNK = 1.0  # [s] that are played at a time
 _MAX_DELAY = 0.1  # [s] by which hands delay their releases before a jump
-_ANY_VELOCITY = 64  # of notes that are compared by their onsets
-_MAX_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
+_ANY_VELOCITY = 64  # of notes: only their onsets are compared
+_MAX_ROLLOUTS = 4  # of each chunk, with hands that follow a spliced trajectory
 
 Parts = dict[str, dict[str, Any]]  # the arrays of a state by part and name
 
 
 class _Chunk(NamedTuple):
-    """A chunk that was played."""
+    """A rollout of a chunk."""
 
     played: Trajectory
     snapshots: Snapshots
@@ -90,12 +90,12 @@ class PlannedVariant:
     def follow(
         self, trajectory: Trajectory, step: int, rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Make the hands follow a trajectory from a step on, and search where less would sound."""
-        goals = [each.holding(trajectory.sounding) for each in self.goals]
+        """Make the hands follow a trajectory from a step on, with a search for its keys."""
+        goals = [of_hand.holding(trajectory.sounding) for of_hand in self.goals]
         self.search.restart(goals, self.scene.tracking(trajectory), step, rngs)
 
     def result(self, trajectory: Trajectory) -> PracticeResult:
-        """The scores of a trajectory of the whole song, and what it takes to play it."""
+        """The scores of a trajectory of the whole song, and the plan that plays it."""
         scene, track, goals = self.plan[:3]
         pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
         dt, score = track.config.control_timestep, track.delayed_score
@@ -112,11 +112,11 @@ class PlannedVariant:
         self, trajectory: Trajectory, first: int, snapshots: Snapshots
     ) -> Trajectory:
         """The trajectory, with the steps from `first` on played anew with feedback."""
-        steps, whole = len(trajectory.ctrl), trajectory.copied()
+        steps, result = len(trajectory.ctrl), trajectory.copied()
         no_snapshots = steps + 1
-        played, _ = self.scene.roll_out(trajectory, snapshots, first, steps, every=no_snapshots)
-        whole.overwrite(first, played)
-        return whole
+        played, _ = self.scene.roll_out(trajectory, snapshots, first, steps, no_snapshots)
+        result.overwrite(first, played)
+        return result
 
 
 class InitialTrajectories:
@@ -134,8 +134,8 @@ class InitialTrajectories:
 
         Raises CadenzaError if there are no hands in the scene.
         """
-        found = context.config.fingering == "found"
-        if found:
+        finds_fingers = context.config.fingering == "found"
+        if finds_fingers:
             track = track.with_found_fingers()
         self._start, self._context = start, context._replace(progress=silent)
         self._begin(PlannedVariant(track, start, rng, context))
@@ -144,7 +144,7 @@ class InitialTrajectories:
         self._chunk = steps_in(_CHUNK, dt)
         # Costs that find other fingers; steps by which releases are delayed; None follows the best
         # of all trajectories, spliced together.
-        refingers = found and track.config.fingering != "human"
+        refingers = finds_fingers and track.config.fingering != "human"
         self._schedule: list[Costs | int | None] = [*OTHER_COSTS] if refingers else []
         self._schedule.append(None)
         for delay in range(1, steps_in(_MAX_DELAY, dt) + 1):
@@ -152,7 +152,7 @@ class InitialTrajectories:
         self._schedule.append(None)
         self._num_tried = 0
         self._best_before: tuple[PlannedVariant, Trajectory] | None = None
-        self._spliced = self._as_played()
+        self._spliced = self._current_as_spliced()
 
     def _begin(self, planned: PlannedVariant) -> None:
         """Go over to a variant that has not been played yet."""
@@ -183,21 +183,21 @@ class InitialTrajectories:
     def advance(self) -> int:
         """Play a chunk, or begin another trajectory.
 
-        Returns how many control steps of a hand were simulated.
+        Returns the number of control steps simulated, of all hands.
         """
         if not self.is_playing:
             self._begin_next()
             return 0
         first = self.num_played
         last = min(first + self._chunk, len(self._trajectory.ctrl))
-        chunks = self._follow(first, last) if self._follows else [self._play(first, last)]
-        best = min(chunks, key=lambda each: float(each.played.cost.sum()))
+        chunks = self._follow(first, last) if self._follows_spliced else [self._play(first, last)]
+        best = min(chunks, key=lambda chunk: float(chunk.played.cost.sum()))
         self._trajectory.overwrite(first, best.played)
-        self._snapshots = {step: each for step, each in best.snapshots.items() if step == last}
-        self.num_played = last  # only now: whoever interrupts this may go on
+        self._snapshots = {step: scene for step, scene in best.snapshots.items() if step == last}
+        self.num_played = last  # last of all: after an interrupt, practice can go on
         if not self.is_playing:
             self._compare()
-        return sum(each.simulated for each in chunks)
+        return sum(chunk.simulated for chunk in chunks)
 
     def _play(self, first: int, last: int) -> _Chunk:
         """Play from one step to another as the planner does."""
@@ -209,7 +209,7 @@ class InitialTrajectories:
         return _Chunk(played, snapshots, search.simulated - before + played.loss.size)
 
     def _follow(self, first: int, last: int) -> list[_Chunk]:
-        """Follow the spliced trajectory, again and again until it loses no more than that."""
+        """Roll the chunk out again and again, until its loss is that of the spliced trajectory."""
         planned, target, chunks = self._planned, self._spliced.trajectory, list[_Chunk]()
         loss = target.loss[first:last].sum()
         while len(chunks) < _MAX_ROLLOUTS and all(c.played.loss.sum() > loss for c in chunks):
@@ -219,35 +219,35 @@ class InitialTrajectories:
         return chunks
 
     def _compare(self) -> None:
-        """Splice the trajectory that is over, and go on with the best one."""
+        """Splice the finished trajectory, and go on with the best one."""
         if not self._best_before:
-            self._spliced = self._as_played()
+            self._spliced = self._current_as_spliced()
             return
-        now, (planned, trajectory) = self._planned, self._best_before
-        self._spliced = self._spliced.with_better(now.variant, self._trajectory, now.goals)
-        if not now.result(self._trajectory).no_worse_than(planned.result(trajectory)):
+        current, (planned, trajectory) = self._planned, self._best_before
+        self._spliced = self._spliced.with_better(current.variant, self._trajectory, current.goals)
+        if not current.result(self._trajectory).no_worse_than(planned.result(trajectory)):
             self._planned, self._trajectory = planned, trajectory
         self._best_before = None
 
-    def _as_played(self) -> SplicedTrajectory:
+    def _current_as_spliced(self) -> SplicedTrajectory:
         """A copy of the current trajectory."""
         planned = self._planned
         return SplicedTrajectory(planned.plan.track, planned.variant, self._trajectory.copied())
 
     def _begin_next(self) -> None:
-        """Go over to the next trajectory, if it is to differ from the best one so far."""
+        """Go over to the next trajectory, unless it would be the best one so far."""
         self._num_tried += 1
         variant = self._next_variant()
-        if self._follows:
+        if self._follows_spliced:
             differs = self._spliced.trajectory.loss.sum() < self._trajectory.loss.sum()
         else:
             differs = not variant.equals(self._planned.variant)
         if differs:
             self._best_before = self._planned, self._trajectory
-            self._begin(self._planned_as(variant))
+            self._begin(self._plan_variant(variant))
 
     @property
-    def _follows(self) -> bool:
+    def _follows_spliced(self) -> bool:
         """Whether the current trajectory follows the spliced one."""
         return self._num_tried > 0 and self._schedule[self._num_tried - 1] is None
 
@@ -260,7 +260,7 @@ class InitialTrajectories:
             case costs:
                 return self._spliced.with_fingers_by(costs)
 
-    def _planned_as(self, variant: Variant) -> PlannedVariant:
+    def _plan_variant(self, variant: Variant) -> PlannedVariant:
         """Plan a variant, unless it is the current one."""
         if variant.equals(self._planned.variant):
             return self._planned
@@ -268,10 +268,10 @@ class InitialTrajectories:
         return PlannedVariant(track, self._start, rng, self._context, variant)
 
     def result(self) -> PracticeResult:
-        """The first trajectory, with what is left played as planned."""
+        """Result of the first trajectory, whose other steps are played as planned."""
         planned = self._planned
-        whole = planned.played_to_the_end(self._trajectory, self.num_played, self._snapshots)
-        return planned.result(whole)
+        trajectory = planned.played_to_the_end(self._trajectory, self.num_played, self._snapshots)
+        return planned.result(trajectory)
 
     # Saving and restoring
 
@@ -288,7 +288,7 @@ class InitialTrajectories:
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Trajectory) -> None:
         """Go on from the `parts` of the same trajectories, of which `best` was the best.
 
-        What was being played is played again up to where it was left, and is the same to the bit.
+        The current trajectory is played again up to the same step, with the same bits.
         """
         initial, spliced = parts["initial"], parts["spliced"]
         num_played, self._num_tried = initial["numbers"].tolist()
@@ -297,7 +297,7 @@ class InitialTrajectories:
             self._spliced.track, _fields(Variant, spliced), _fields(Trajectory, spliced)
         )
         if self._num_tried or not was_playing:
-            self._begin(self._planned_as(_fields(Variant, initial)))
+            self._begin(self._plan_variant(_fields(Variant, initial)))
             self._trajectory, self.num_played = best, len(best.ctrl)
             if was_playing:
                 self._num_tried -= 1

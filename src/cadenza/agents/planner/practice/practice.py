@@ -1,17 +1,17 @@
-"""Two hands practise a song: they play it, go back to what fails, and keep what is better.
+"""Practice of a song: two hands play it, go back to their faults, and keep improvements.
 
-The initial trajectories come first: the song as the planner plays it, then variants, and the best
-of all spliced together. From the best one on, practice goes over the song again and again. A
-*sweep* works on window after window of two seconds, from the beginning to the end: each hand
-refines its strikes once, then draws a step with a loss and looks for something better to do
-(`hand_practice`), and what they have found is kept if the cost of that window and the next second
-falls in the whole scene. The smallest change is felt for seconds, however feedback leads back to
-the trajectory; therefore what follows is always rolled out anew from where the hands have really
-come to, with a search where they would miss what sounded before, and a sweep that ends with a lower
-score is undone.
+First come the initial trajectories: the song as the planner plays it, then variants, and the best
+of all spliced together. From the best one on, practice goes over the song in sweeps. A *sweep*
+works on one window of two seconds after the other, from the beginning to the end. Each hand refines
+its strikes once, then draws a step with a loss and searches for an improvement (`hand_practice`),
+which is kept if the cost of that window and the next second falls in the whole scene.
 
-Effort is counted in simulated control steps, so that the same effort comes to the same on every
-machine, by however many threads it is made.
+Even with feedback, the smallest change has effects for seconds. Therefore the steps that follow are
+rolled out anew from the state that the hands have reached, with a search where they would miss keys
+that sounded before. A sweep that ends with a lower score is undone.
+
+Effort is counted in simulated control steps, so that the same effort has the same result on every
+machine, and with any number of threads.
 """
 
 import hashlib
@@ -41,14 +41,14 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.config import task_identity
 from cadenza.tasks.view import View
 
-EFFORT = 100  # control steps that each hand simulates for each one of the song at effort 1
-MAX_EFFORT = 1e6  # the greatest effort that can be chosen
-_FIRST_SWEEP, _SWEEP = 0.5, 1.0  # effort: the first one finds the easy faults, and is over sooner
+EFFORT = 100  # control steps that each hand simulates for each step of the song at effort 1
+MAX_EFFORT = 1e6
+_FIRST_SWEEP, _SWEEP = 0.5, 1.0  # effort: the first sweep mends easy faults, and is over sooner
 _APART = 0.5  # [s] between passages
 _INTERVAL = 0.5  # [s] between snapshots, at which rollouts can begin
 _WINDOW = 4  # intervals that are worked on at a time
 _STRIDE = 3  # intervals from one window to the next
-_CONSEQUENCES = 2  # intervals after a window whose cost counts too
+_AFTER = 2  # intervals after a window whose cost counts, too
 _AROUND = 0.15  # [s] before and after a step that share its failed attempts
 _MAX_BYTES = 2**32  # of a file: hours of music
 
@@ -58,7 +58,7 @@ class _Sweep(NamedTuple):
 
     first: int  # the step at which the current window begins
     refined: int  # the step up to which strikes have been refined
-    # (T,) simulated control steps after which a window is left that ends with each step
+    # (T,) number of simulated control steps at which a window that ends with each step is left
     until: Array
     before: Trajectory  # the trajectory when the sweep began
 
@@ -67,11 +67,11 @@ class Practice:
     """Practice of one song.
 
     Attributes:
-        trajectory: the best so far; where it has not been played yet, it is what is planned.
+        trajectory: the best so far; steps that have not been played yet are the plan's.
         current_steps: the steps that were worked on last.
         num_steps: the number of control steps of the song.
         simulated: the control steps of a hand, in all, after the first trajectory.
-        history: effort, F1 and F1 of note onsets of the first trajectory, and of the best one after
+        history: effort, F1 and note onset F1 of the first trajectory, and of the best one after
             each variant and each sweep.
     """
 
@@ -94,7 +94,7 @@ class Practice:
             _WINDOW * interval,
             _STRIDE * interval,
         )
-        self._after = _CONSEQUENCES * interval
+        self._after = _AFTER * interval
         self._reach = self._window + self._after
         self.num_steps = self.plan.goals.num_steps
         self._num_failed = np.zeros_like(self.trajectory.loss)
@@ -120,16 +120,16 @@ class Practice:
         return self.simulated / self._steps_of(1.0)
 
     def share_made(self, effort: float) -> float:
-        """The share of an effort that has been made, 0 to 1; 1 if nothing is left to mend."""
+        """Share of an effort that has been made, 0 to 1; 1 if there is nothing left to improve."""
         if self.history and not self._has_work(effort):
             return 1.0
         return min(self.simulated / max(self._steps_of(effort), 1.0), 1.0)
 
     def progress(self, effort: float) -> tuple[str, int, int]:
-        """The stage of practice, how much of it is done, and of how much in all.
+        """The stage of practice, the amount done, and the total.
 
-        The unit is steps for the first trajectory, which is no part of the effort; per cent of the
-        effort; and steps for what has begun when the effort is made.
+        The unit is steps for the first trajectory, which is no part of the effort; then per cent of
+        the effort; and steps for a trajectory or a sweep that goes on after it.
         """
         if not self.history:
             return "first take", self._initial.num_played, self.num_steps
@@ -148,7 +148,7 @@ class Practice:
         return self.effort < effort and bool(self.trajectory.all_loss.any())
 
     def steps_with_faults(self) -> list[int]:
-        """The steps in which a note was missed, or struck and not written."""
+        """The steps with a missed or an extra note."""
         return np.flatnonzero(self.trajectory.faults.any(axis=1)).tolist()
 
     def passages_with_faults(self) -> list[int]:
@@ -158,10 +158,9 @@ class Practice:
         return list(map(int, steps[apart]))
 
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
-        """Practise until `effort` has been made, as long as `goes_on` returns true.
+        """Practise until `effort` has been made, while `goes_on` returns true.
 
-        A sweep or a trajectory that has begun is finished first. Returns whether there is nothing
-        more to do.
+        A sweep or a trajectory that has begun is finished first. Returns whether practice is done.
         """
         while self._has_work(effort):
             if not goes_on():
@@ -213,26 +212,27 @@ class Practice:
         elif lossy and self.simulated < sweep.until[last - 1]:
             self._improve(sweep, last)
         elif last < self.num_steps:
-            first, known = sweep.first + self._stride, sweep.first + self._reach
-            self._replay(sweep, known, known + self._stride)
+            first, end = sweep.first + self._stride, sweep.first + self._reach
+            self._replay(sweep, end, end + self._stride)
             self._snapshots = {step: s for step, s in self._snapshots.items() if step >= first}
             self._sweep = sweep._replace(first=first)
         else:
             self._end_sweep(sweep)
 
     def _end_sweep(self, sweep: _Sweep) -> None:
-        """End a sweep, and undo it if the song is played worse than before: notes, or the score."""
-        before, now = map(self._planned.result, (sweep.before, self.trajectory))
+        """End a sweep, and undo it if note onset F1 or the score is lower than before."""
+        before, after = map(self._planned.result, (sweep.before, self.trajectory))
         cheaper = self.trajectory.cost.sum() < sweep.before.cost.sum()
-        if not now.no_worse_than(before) or (now.score == before.score and not cheaper):
+        if not after.no_worse_than(before) or (after.score == before.score and not cheaper):
             self.trajectory = sweep.before
         self._sweep = None
         self._record()
 
     def _replay(self, sweep: _Sweep, first: int, last: int) -> None:
-        """Roll the trajectory out anew between two steps, from where the hands have come to.
+        """Roll the trajectory out anew between two steps, from the state that hands have reached.
 
-        If that is not where they were, they search for what sounded before the sweep.
+        If the trajectory has changed up to there, they search for the keys that sounded before the
+        sweep.
         """
         if first >= self.num_steps:
             return
@@ -256,7 +256,7 @@ class Practice:
         )
 
     def _improve(self, sweep: _Sweep, last: int) -> None:
-        """Let each hand that loses something in the window up to `last` try to lose less."""
+        """Let each hand with a loss in the window up to `last` try to lower it."""
         first = sweep.first
         weight = self.trajectory.all_loss[first:last] / (1.0 + self._num_failed[first:last])
         end = min(first + self._reach, self.num_steps)
@@ -276,7 +276,7 @@ class Practice:
     def _attempt(
         self, hands: list[int], end: int, attempt_of: Callable[[HandPractice, int], Attempt]
     ) -> dict[int, Attempt]:
-        """Let some hands attempt something, and keep what is better up to `end`."""
+        """Let `hands` make an attempt each, and keep changes that lower the cost up to `end`."""
         attempts: dict[int, Attempt] = {}
 
         def attempt(i: int) -> None:
@@ -285,30 +285,30 @@ class Practice:
         self._threads.for_each(hands, attempt)
         self.current_steps = [attempts[i].step for i in hands]
         self.simulated += sum(attempts[i].simulated for i in hands)
-        found = {i: change for i in hands if (change := attempts[i].change)}
-        # Together, or else one of them.
-        for changes in [found, *({i: found[i]} for i in found if len(found) > 1)]:
+        both = {i: change for i in hands if (change := attempts[i].change)}
+        for changes in [both, *({i: both[i]} for i in both if len(both) > 1)]:
             if changes and self._accept(changes, end):
                 break
         return attempts
 
     def _accept(self, changes: Mapping[int, ChangedControls], last: int) -> bool:
-        """Make changes by hands, if the cost from there to `last` falls in the whole scene.
+        """Make changes of hands, if they lower the cost up to `last` in the whole scene.
 
-        There may be no more faults of notes, and F1 may only fall for fewer of them.
+        They may not add faults, and may only lower F1 if they remove some. Returns whether they
+        were made.
         """
         first = min(change.first for change in changes.values())
         first -= first % self._interval
-        candidate, kept = self.trajectory.segment(0, last), self.trajectory.sounding
+        candidate, sounding = self.trajectory.segment(0, last), self.trajectory.sounding
         for i, (begin, ctrl, expected) in changes.items():
             rows, servos = slice(begin, begin + len(ctrl)), self._planned.hands[i].servos
             candidate.ctrl[rows, servos], candidate.expected[rows, servos] = ctrl, expected
         played, snapshots = self._roll_out(candidate, first, last)
         if not played.cost.sum() < self.trajectory.cost[first:last].sum():
             return False
-        fewer = int(self.trajectory.faults[first:last].sum() - played.faults.sum())
-        gained = self._f1(played.sounding, first) - self._f1(kept[first:last], first)
-        if fewer < 0 or gained + self._planned.scene.fault * fewer < 0:
+        faults_removed = int(self.trajectory.faults[first:last].sum() - played.faults.sum())
+        f1_gain = self._f1(played.sounding, first) - self._f1(sounding[first:last], first)
+        if faults_removed < 0 or f1_gain + self._planned.scene.fault * faults_removed < 0:
             return False
         self._overwrite(first, played, snapshots)
         return True
@@ -346,21 +346,21 @@ class Practice:
     # Results
 
     def best(self) -> PracticeResult:
-        """The best so far; within the first trajectory or a sweep, the rest is played as it is."""
+        """The best so far; within the first trajectory or a sweep, the rest is rolled out first."""
         if not self.history:
             return self._initial.result()
         planned, sweep = self._planned, self._sweep
         if not sweep:
             return planned.result(self.trajectory)
-        known = min(sweep.first + self._reach, self.num_steps)
-        whole = planned.played_to_the_end(self.trajectory, known, self._snapshots)
-        now, before = planned.result(whole), planned.result(sweep.before)
+        end = min(sweep.first + self._reach, self.num_steps)
+        trajectory = planned.played_to_the_end(self.trajectory, end, self._snapshots)
+        now, before = planned.result(trajectory), planned.result(sweep.before)
         return now if now.no_worse_than(before) else before
 
     # Saving and restoring
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that decides how practice goes on, as arrays by "part/name"."""
+        """State from which practice goes on, as arrays by "part/name"."""
         parts: Parts = {
             "practice": {
                 "history": np.reshape(self.history, (-1, 3)),
@@ -383,7 +383,7 @@ class Practice:
         write_tensors(path, self.state(), {"practice": self._identity})
 
     def restore(self, path: Path) -> None:
-        """Go on from a state that the same practice has saved.
+        """Go on from a saved state of the same practice.
 
         Raises CadenzaError if the file is of another practice, or damaged.
         """
@@ -421,18 +421,18 @@ class Practice:
         if first % self._interval:
             raise ValueError(f"no window begins at step {first}")
         self._sweep = sweep
-        # Snapshots take much memory: none is kept of what comes before.
-        known = {0: scene.at_start()}
+        # Snapshots take much memory: none is kept of earlier steps.
+        start = {0: scene.at_start()}
         _, self._snapshots = scene.roll_out(
-            self.trajectory, known, first, first + self._reach, self._interval
+            self.trajectory, start, first, first + self._reach, self._interval
         )
 
 
 def _digest(plan: SongPlan, start: Array, seed: int, config: PlannerConfig) -> str:
-    """A digest of all that practice begins with."""
+    """A digest of the song, the options and the plan with which practice begins."""
     options = task_identity(plan.track.config, plan.track.scene.config, seed)
-    chosen = json.dumps({"seed": seed, "task": options, "planner": asdict(config)}, sort_keys=True)
-    digest = hashlib.sha256(chosen.encode())
+    text = json.dumps({"seed": seed, "task": options, "planner": asdict(config)}, sort_keys=True)
+    digest = hashlib.sha256(text.encode())
     for values in (*plan.nominal.tracking, plan.goals.keys, start):
         digest.update(values.tobytes())
     return digest.hexdigest()

@@ -21,11 +21,11 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
-_PUSHED = 1e-4  # [m, rad] off the trajectory; feedback alone leads back from less
+_PUSHED = 1e-4  # [m, rad] off the trajectory, up to which feedback alone leads back
 
 
 class PractisedPlan(NamedTuple):
-    """All that it takes to play a song as it was practised."""
+    """The controls and the variant with which a song is played as it was practised."""
 
     tracking: Tracking  # the controls, and the feedback that leads the hands back to the trajectory
     variant: Variant  # the fingers and the release times
@@ -51,8 +51,8 @@ class PracticeResult(NamedTuple):
 class PractisedPlanner(EpisodePlanner):
     """A planner of one song that plays it as it was practised.
 
-    Feedback leads the hands back to where they were in practice. Once they are pushed too far off
-    for that, it searches as the planner does, around what was practised.
+    Feedback leads the hands back to the trajectory of practice. Once they are pushed too far off
+    for that, it searches around that trajectory as the planner does.
     """
 
     def __init__(
@@ -79,19 +79,19 @@ class PractisedPlanner(EpisodePlanner):
     def act(self, view: View) -> Array:
         state, step = view.state, int(view.steps[0])
         if not self._search:
-            here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
-            off = np.abs(here - self._tracking.expected[step])[:, 0].max()
-            if off <= _PUSHED:
-                ctrl = self._tracking.controls(self._servos, step, here)
+            servo_state = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
+            error = np.abs(servo_state - self._tracking.expected[step])[:, 0].max()
+            if error <= _PUSHED:
+                ctrl = self._tracking.controls(self._servos, step, servo_state)
                 return np.append(ctrl, self._pedal[step])
             self._search = self._begin_search(step)
         return np.append(self._search.act(step, state), self._pedal[step])
 
     @property
     def plan(self) -> SongPlan:
-        """The plan before practice; made when it is first asked for."""
+        """The plan before practice; made on first use."""
         if self._plan is None:
-            dropped = self._track.dropped or ()  # the others have all fingers that they get
+            dropped = self._track.dropped or ()  # the fingers of all other notes are known
             track = replace(self._variant.of(self._track), dropped=dropped)
             delays = self._variant.release_delays
             self._plan = plan_song(track, self._start, self._context.progress, delays, strikes=True)
@@ -110,7 +110,7 @@ class PractisedHands(PlannerPerEnv[PractisedPlanner]):
     def __init__(
         self, practised: PractisedPlan, config: PlannerConfig, plan: SongPlan | None = None
     ) -> None:
-        """Play what was practised, see `PractisedPlanner`, and searches as `config` says."""
+        """Play a practised plan, see `PractisedPlanner`; `config` has the options of its search."""
         super().__init__()
         self._practised, self._config, self._plan = practised, config, plan
 
@@ -128,8 +128,8 @@ def _check(practised: PractisedPlan, view: View) -> None:
     check_planned_for(view, steps, servos + 1)
     hands, notes = practised.variant.release_delays.shape[1], len(practised.variant.fingers)
     (track,) = view.tracks
-    if (hands, notes) != (there := (len(view.task.scene.sides), len(track.score.notes))):
+    if (hands, notes) != (sizes := (len(view.task.scene.sides), len(track.score.notes))):
         raise CadenzaError(
             "the plan has {} hands and {} notes, but this task has {} and {}: was another song "
-            "practised?".format(hands, notes, *there)
+            "practised?".format(hands, notes, *sizes)
         )

@@ -1,4 +1,4 @@
-"""Trajectories: what the hands have played over the whole song in the whole scene."""
+"""Trajectories of the hands through the whole song, in the whole scene."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
-_UNSTABLE = 1000.0  # cost of a step that leaves the simulation unusable; no other comes near it
+_UNSTABLE = 1000.0  # cost of a step after which the simulation is unstable, far above all others
 
 
 class Trajectory(NamedTuple):
-    """Controls of H hands with A servos over T steps, and what came of them."""
+    """Controls of H hands with A servos over T steps, and their outcome."""
 
     ctrl: Array  # (T, A)
     expected: Array  # (T, A, 2) position and speed of each servo before the step
@@ -31,8 +31,7 @@ class Trajectory(NamedTuple):
     onset: NDArray[Any]
     offset: NDArray[Any]  # (T, K) when it last ceased to sound in it [s]
     loss: Array  # (T, H) the loss of each hand after the step, see `Losses`
-    # (T, H) the notes that each hand missed, or struck though they are not written
-    faults: NDArray[Any]
+    faults: NDArray[Any]  # (T, H) the missed and extra notes of each hand
     strike_loss: Array  # (T, H) the loss of each hand by its strikes in the step, see `Losses`
     cost: Array  # (T,) the cost of all hands after the step
 
@@ -48,7 +47,7 @@ class Trajectory(NamedTuple):
 
     @property
     def all_loss(self) -> Array:
-        """(T, H) the loss of each hand, with that by its strikes."""
+        """(T, H) the loss of each hand, with that of its strikes."""
         return self.loss + self.strike_loss
 
     def segment(self, first: int, last: int) -> Trajectory:
@@ -86,11 +85,11 @@ class WholeScene:
     """The scene with all hands and keys, in which trajectories are rolled out and evaluated.
 
     Attributes:
-        fault: the loss of a note that is missed or superfluous.
+        fault: the loss of a missed or an extra note.
     """
 
     def __init__(self, plan: SongPlan, start: Array, goals: Sequence[HandGoals]) -> None:
-        """Put hands with these goals where the song begins, at joint positions (J,) [m, rad]."""
+        """Put hands with these goals at joint positions `start` (J,) [m, rad]."""
         scene, tracking = plan.scene, plan.nominal.tracking
         self._gain, self._after = tracking.gain, tracking.expected[-1:]
         self._servos = servos_of(scene)
@@ -102,7 +101,7 @@ class WholeScene:
         self._start.reset(None, start[None])
 
     def at_start(self) -> PlanningSimulation:
-        """A copy of the scene where the song begins."""
+        """A copy of the scene before the song."""
         return copy(self._start)
 
     def tracking(self, trajectory: Trajectory) -> Tracking:
@@ -113,58 +112,62 @@ class WholeScene:
     def roll_out(
         self,
         trajectory: Trajectory,
-        known: Snapshots,
+        known_snapshots: Snapshots,
         first: int,
         last: int,
-        every: int,
+        interval: int,
         act: Callable[[int, State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
         """Play the steps of a trajectory from `first` up to `last`, and evaluate them.
 
-        Returns what was played, and the snapshots.
+        Returns the steps as they were played, and new snapshots.
 
         Args:
-            trajectory: the trajectory, with what was played before these steps.
-            known: the snapshots of its scene, one of them of the step `first` or before.
-            every: steps between new snapshots; there is one at the end too if it falls there.
+            trajectory: the trajectory, with the steps before these as they were played.
+            first: the first step.
+            last: the step after the last one.
+            known_snapshots: snapshots of its scene, one of them of the step `first` or before.
+            interval: new snapshots are taken before, or after, steps that are its multiples.
             act: returns the controls (A,) of a step in a state; by default those of the trajectory,
                 with feedback, are played.
         """
-        simulation = scene_before(first, trajectory, known)
+        simulation = scene_before(first, trajectory, known_snapshots)
         history = trajectory.key_history(first, self._losses[0].notes)
         played, snapshots = trajectory.segment(first, last), Snapshots()
         last = first + len(played.ctrl)
         tracking = Tracking(played.ctrl, self._gain[first:last], played.expected)
         for k, step in enumerate(range(first, last)):
-            if step % every == 0:
+            if step % interval == 0:
                 snapshots[step] = copy(simulation)
             state = simulation.state
-            here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
-            ctrl = act(step, state) if act else tracking.controls(self._servos, k, here)
+            servo_state = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
+            ctrl = act(step, state) if act else tracking.controls(self._servos, k, servo_state)
             simulation.step(ctrl[None])
             state = simulation.state
-            evaluation, history = self._evaluated(state, step, history)
+            evaluation, history = self._evaluate(state, step, history)
             events = history.sounding[None], state.key_onset, state.key_offset
-            played.overwrite(k, Trajectory(ctrl[None], here[None], *events, *evaluation))
-        if last % every == 0:
+            played.overwrite(k, Trajectory(ctrl[None], servo_state[None], *events, *evaluation))
+        if last % interval == 0:
             snapshots[last] = simulation
         return played, snapshots
 
-    def _evaluated(
+    def _evaluate(
         self, state: State, step: int, history: KeyHistory
     ) -> tuple[tuple[Array, Array, Array, Array], KeyHistory]:
         """The evaluation of the state after a step, and the keys then.
 
-        The first are the loss, the faults and the loss by strikes (1, H), and the cost (1,).
-        A key that sounds and should not is charged to the hand that is nearer to it.
+        The evaluation is loss, faults and strike loss (1, H), and cost (1,). The hand nearer to a
+        key pays if the key sounds and should not.
         """
         tips = [state.fingertip_xpos[0, fingers] for fingers in self._fingers]
         distance = [np.abs(self._keys - hand[:, 1].mean()) for hand in tips]
         nearest, cost = np.argmin(distance, axis=0), _UNSTABLE * bool(state.unstable[0])
-        events, now = KeyEvents(*(values[0] for values in state.key_events)), history
-        lost = np.zeros((3, 1, len(tips)))
+        events, after = KeyEvents(*(values[0] for values in state.key_events)), history
+        by_hand = np.zeros((3, 1, len(tips)))
         for i, (losses, hand) in enumerate(zip(self._losses, tips, strict=True)):
             near, keys = nearest == i, state.key_qpos[0]
-            *lost[:, 0, i], more, now = losses.after(step, keys, events, hand, history, near=near)
-            cost += more
-        return (*lost, np.array([cost])), now
+            *by_hand[:, 0, i], hand_cost, after = losses.after(
+                step, keys, events, hand, history, near=near
+            )
+            cost += hand_cost
+        return (*by_hand, np.array([cost])), after

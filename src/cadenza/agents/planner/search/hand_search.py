@@ -139,7 +139,7 @@ class HandSearch:
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Continue from `step` on with a plan that goes further.
+        """Continue from `step` on with a longer plan.
 
         Where the plan ends within the horizon, the song is taken to end.
         """

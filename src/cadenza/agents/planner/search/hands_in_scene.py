@@ -80,7 +80,7 @@ class HandsInScene:
         return ctrl
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Continue from `step` on with a plan that goes further."""
+        """Continue from `step` on with a longer plan."""
         for each in self._ahead or self._hands:
             each.follow(plan, step)
 

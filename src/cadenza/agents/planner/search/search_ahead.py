@@ -46,7 +46,7 @@ class WindowSearch(Protocol):
     """A search that finds controls of one hand window by window, here or in another process."""
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Continue from `step` on with a plan that goes further."""
+        """Continue from `step` on with a longer plan."""
 
     def act(self, state: HandState) -> Array:
         """Controls (A,) of the next step alone."""
@@ -155,7 +155,7 @@ class SearchAhead:
         self._tracking = plan.nominal.tracking.of(hand.servos)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """Continue from `step` on with a plan that goes further."""
+        """Continue from `step` on with a longer plan."""
         self._windows.follow(plan, step)
         self._tracking = plan.nominal.tracking.of(self._among_all)
 
