@@ -92,14 +92,14 @@ def test_key_paths_are_the_angles_after_each_physics_step(monkeypatch):
     assert np.ptp(paths, axis=(0, 1)).max() > 0.01  # a key moves
 
 
-def test_a_rollout_continues_from_a_state_that_another_has_kept():
-    hand, kept = Alone(), [2, 5]
+def test_a_rollout_continues_from_a_state_that_another_has_saved():
+    hand, snapshots = Alone(), [2, 5]
     actions, rollouts = hand.recorded, hand.rollouts
-    whole = [path for path, _ in rollouts.run(actions, kept=kept)]
+    paths = [path for path, _ in rollouts.run(actions, snapshots=snapshots)]
     list(rollouts.run(actions[:1]))  # of something else
     for first in (2, 5):
-        rest = [path for path, _ in rollouts.run(actions[first:], first, kept)]
-        np.testing.assert_array_equal(rest, whole[first:])
+        rest = [path for path, _ in rollouts.run(actions[first:], first, snapshots)]
+        np.testing.assert_array_equal(rest, paths[first:])
 
 
 def test_fingertips_move_with_servos_as_the_jacobian_says():

@@ -62,12 +62,12 @@ class HandRollouts:
         self._model.start_from(self._state)
 
     def run(
-        self, ctrl: Iterable[Array], first: int = 0, kept: Sequence[int] = ()
+        self, ctrl: Iterable[Array], first: int = 0, snapshots: Sequence[int] = ()
     ) -> Iterator[tuple[Array, Array]]:
         """Simulate a rollout: one control step for each row of `ctrl` (H, A).
 
-        Rows may depend on the state that was reached. The states before the steps `kept` are kept,
-        and one of these may be the `first` step of a later rollout that keeps the same.
+        Rows may depend on the state reached so far. The states before the steps `snapshots` are
+        saved, and a later rollout with the same `snapshots` may begin at one of them, `first`.
 
         Yields:
             (S + 1, K) angles of `keys` before the step and after each of its S physics steps [rad],
@@ -75,7 +75,7 @@ class HandRollouts:
         """
         hand = self._model
         model, data = hand.model, hand.data
-        states = dict(zip(kept, hand.room_for(len(kept)), strict=True))
+        states = dict(zip(snapshots, hand.room_for(len(snapshots)), strict=True))
         mujoco.mj_copyData(data, model, states[first] if first else hand.start)
         for step, row in enumerate(ctrl, first):
             if step in states:

@@ -7,14 +7,14 @@ from cadenza.agents.planner.plan.tracking import discretised
 from cadenza.scene.servos import Servos
 
 MAX_ERROR = 0.03
-"""The fingertip error at which errors are clipped, so that no finger outweighs the others [m]."""
+"""Length to which fingertip errors are clipped, so that no finger outweighs the others [m]."""
 CONTROL_TOLERANCE = 0.002
-"""The error of a playing fingertip that costs as much as changing a control by its noise [m]."""
-_SERVO_TOLERANCE = 0.001  # [m] that costs as much as moving a servo by its noise
+"""Error of a playing fingertip with the cost of changing a control by its noise [m]."""
+_SERVO_TOLERANCE = 0.001  # [m] error with the cost of moving a servo by its noise
 
 
 def servo_corrections(error: Array, weight: Array, jacobian: Array, servos: Servos) -> Array:
-    """(H, A) the changes of servos that reduce the fingertip errors of H steps.
+    """Changes (H, A) of servos that reduce the fingertip errors of H steps.
 
     Each step is solved by itself, by damped least squares (Wampler, Manipulator Inverse Kinematic
     Solutions Based on Vector Formulations and Damped Least-Squares Methods, 1986). A servo with
@@ -22,7 +22,7 @@ def servo_corrections(error: Array, weight: Array, jacobian: Array, servos: Serv
 
     Args:
         error: (H, F, 3) targets of fingertips less their positions [m].
-        weight: (H, F) weights of the squared errors, 1 for fingers that play.
+        weight: (H, F) weights of the squared errors, 1 for playing fingers.
         jacobian: (H, F, 3, A) derivatives of fingertips by servos.
         servos: the servos of the hand.
     """
@@ -36,16 +36,16 @@ def servo_corrections(error: Array, weight: Array, jacobian: Array, servos: Serv
 def control_update(
     error: Array, weight: Array, jacobian: Array, feedback: Array, servos: Servos, dt: float
 ) -> Array:
-    """(H, A) the changes of the controls of H steps that reduce the fingertip errors after them.
+    """Changes (H, A) of the controls of H steps that reduce the fingertip errors after them.
 
     Norm-optimal iterative learning control (Amann, Owens & Rogers, Iterative Learning Control Using
-    Optimal Feedback and Feedforward Actions, 1996) minimises the squared errors that are left and
-    the squared changes, by the Riccati recursion. The model is linear, without contacts, and each
-    servo moves by itself, as in `track`. Its state x are the deviations of positions and speeds.
+    Optimal Feedback and Feedforward Actions, 1996) minimises the squared remaining errors plus the
+    squared changes, by the Riccati recursion. The model is linear, without contacts, and has
+    independent servos, as in `track`. Its state x is the deviations of positions and speeds.
 
     Args:
         error, weight, jacobian: as in `servo_corrections`.
-        feedback: (H, A, 2) gains that are active meanwhile, see `Tracking`.
+        feedback: (H, A, 2) gains of the feedback, see `Tracking`.
         servos: the servos of the hand; a control with more noise changes more.
         dt: control step [s].
     """
@@ -60,11 +60,11 @@ def control_update(
         by_control = control.T @ value_hessian
         q_uu = np.diag(servos.noise**-2.0) + by_control @ control
         q_ux, q_u = by_control @ transition[t], control.T @ value_gradient
-        minimiser = -np.linalg.solve(q_uu, np.column_stack([q_ux, q_u]))
-        gain[t], offset[t] = minimiser[:, :-1], minimiser[:, -1]
-        closed = transition[t] + control @ gain[t]
-        value_hessian = transition[t].T @ value_hessian @ closed
-        value_gradient = closed.T @ value_gradient
+        solution = -np.linalg.solve(q_uu, np.column_stack([q_ux, q_u]))
+        gain[t], offset[t] = solution[:, :-1], solution[:, -1]
+        closed_loop = transition[t] + control @ gain[t]
+        value_hessian = transition[t].T @ value_hessian @ closed_loop
+        value_gradient = closed_loop.T @ value_gradient
         value_hessian = (value_hessian + value_hessian.T) / 2
     update, x = np.zeros((steps, count)), np.zeros(2 * count)
     for t in range(steps):
@@ -99,4 +99,4 @@ def _closed_loop(feedback: Array, servos: Servos, dt: float) -> tuple[Array, Arr
     for row in range(2):
         for column in range(2):
             transition[:, row * count + servo, column * count + servo] = by_servo[..., row, column]
-    return transition, np.concatenate([np.diag(each) for each in by_control.T])
+    return transition, np.concatenate([np.diag(column_values) for column_values in by_control.T])

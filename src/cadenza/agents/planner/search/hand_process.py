@@ -1,8 +1,8 @@
-"""The search of one hand in a process of its own, while this one searches for another hand.
+"""The search of one hand in a process of its own, while the parent process searches for another.
 
 `python -m cadenza.agents.planner.search.hand_process` is that process. It receives pickled calls of
-the methods of a `RestartingSearch` on stdin, and answers on stdout. It finds a few windows ahead
-of what is asked for. The result is the same to the bit as in this process.
+the methods of a `RestartingSearch` on stdin, and answers on stdout. It finds a few windows before
+they are requested. The result is the same to the bit as in one process.
 """
 
 import os
@@ -27,7 +27,7 @@ from cadenza.agents.planner.search.search_ahead import HandState, RestartingSear
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 
-_AHEAD = 2  # windows that are found before they are asked for
+_AHEAD = 2  # windows that are found before they are requested
 _LOST = (
     "the process that searches for the {side} hand ended unexpectedly: is there enough memory? "
     "--num-threads 1 does without it"
@@ -38,7 +38,7 @@ class HandProcess:
     """A `WindowSearch` in another process, which ends with this object."""
 
     def __init__(self) -> None:
-        """Start the process, which loads all that it needs. Raises OSError if there is no room."""
+        """Start the process. Raises OSError if there is no memory for it."""
         module = "cadenza.agents.planner.search.hand_process"
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", module],
@@ -47,7 +47,7 @@ class HandProcess:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # modules of hands, too
         )
         weakref.finalize(self, _end, self._process)
-        self._begun, self._side = 0, "other"
+        self._num_begins, self._side = 0, "other"
 
     def search(
         self, plan: SongPlan, side: Side, rng: np.random.Generator, config: PlannerConfig
@@ -57,10 +57,10 @@ class HandProcess:
         try:
             self._call(plan, side, rng, config)
         except (CadenzaError, pickle.PicklingError, AttributeError, TypeError):
-            self._process.kill()  # of what cannot be pickled, it is never told
+            self._process.kill()  # the plan cannot be pickled
 
     def is_ready(self) -> bool:
-        """Whether it can search: not if it does not know the hand, which this process does."""
+        """Whether it can search: not for a hand that only the parent process has registered."""
         with suppress(CadenzaError):
             return bool(self._answer())
         return False
@@ -71,18 +71,18 @@ class HandProcess:
     def act(self, state: HandState) -> Array:
         self._call("act", state)
         while isinstance(answer := self._answer(), tuple):
-            pass  # a window that was found ahead of what has happened
+            pass  # a window that is now obsolete
         return np.asarray(answer)
 
     def begin(self, state: HandState) -> None:
-        self._begun += 1
+        self._num_begins += 1
         self._call("begin", state)
 
     def next_window(self) -> list[PlayedStep]:
         self._call("next_window")
         while True:
-            begun, window = self._answer()
-            if begun == self._begun:
+            num_begins, window = self._answer()
+            if num_begins == self._num_begins:
                 return list[PlayedStep](window)
 
     def _call(self, *message: Any) -> None:
@@ -98,7 +98,7 @@ class HandProcess:
         assert self._process.stdout is not None
         try:
             return pickle.load(self._process.stdout)
-        except (EOFError, pickle.UnpicklingError):  # at once, or within an answer
+        except (EOFError, pickle.UnpicklingError):  # before an answer, or within it
             raise CadenzaError(_LOST.format(side=self._side)) from None
 
 
@@ -107,17 +107,17 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
     process.kill()
     for pipe in process.stdin, process.stdout:
         assert pipe is not None
-        with suppress(OSError):  # what was not sent is of no use
+        with suppress(OSError):  # unsent calls do not matter
             pipe.close()
     process.wait()
 
 
 def main() -> None:
-    """Search for a hand until there is nobody to search for."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started this ends it
+    """Search for a hand until the parent process closes stdin."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends this one
     calls = SimpleQueue[Any]()
     with os.fdopen(os.dup(1), "wb") as answers:
-        os.dup2(2, 1)  # what libraries print is no answer
+        os.dup2(2, 1)  # output of libraries is no answer
         threading.Thread(target=_receive, args=(calls,), daemon=True).start()
 
         def answer(value: Any) -> None:
@@ -128,9 +128,10 @@ def main() -> None:
 
 
 def _receive(calls: SimpleQueue[Any]) -> None:
-    """Receive calls as they come, even while one is carried out, and end where nobody calls.
+    """Receive calls, even while one is carried out, and end the process at the end of stdin.
 
-    It also ends at what it does not know, such as a hand that its parent alone has registered.
+    It also ends the process at a call that it cannot unpickle, such as one with a hand that only
+    the parent process has registered.
     """
     with suppress(Exception):
         while True:
@@ -139,7 +140,7 @@ def _receive(calls: SimpleQueue[Any]) -> None:
 
 
 def _serve(calls: SimpleQueue[Any], answer: Callable[[Any], None]) -> None:
-    """Carry out calls, and find windows ahead while there are none."""
+    """Carry out calls, and find windows ahead between them."""
     plan, side, rng, config = calls.get()
     try:
         hand = HandSearch(plan, side, rng, config)
@@ -147,27 +148,27 @@ def _serve(calls: SimpleQueue[Any], answer: Callable[[Any], None]) -> None:
         return
     answer(True)
     search = RestartingSearch(hand, plan.track.config.control_timestep)
-    step = begun = wanted = 0
+    step = num_begins = windows_to_find = 0
     while True:
         ends = search.is_over or plan.ends_before(step + search.lookahead)
         try:
-            name, *arguments = calls.get(block=not wanted or ends)
+            name, *arguments = calls.get(block=not windows_to_find or ends)
         except Empty:
             window = search.next_window()
-            answer((begun, window))
-            step, wanted = step + len(window), wanted - 1
+            answer((num_begins, window))
+            step, windows_to_find = step + len(window), windows_to_find - 1
             continue
         if name == "follow":
             plan = arguments[0]
             search.follow(*arguments)
         elif name == "act":
-            wanted = 0
+            windows_to_find = 0
             answer(search.act(*arguments))
         elif name == "begin":
             search.begin(*arguments)
-            step, begun, wanted = arguments[0].step, begun + 1, _AHEAD
+            step, num_begins, windows_to_find = arguments[0].step, num_begins + 1, _AHEAD
         else:
-            wanted += 1
+            windows_to_find += 1
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Rehearsal of one hand: iterative learning control of half a second of its plan beforehand.
+"""Rehearsal of one hand: iterative learning control of the next half second of its plan.
 
 Each iteration rolls the plan out in simulation, with feedback, and updates the controls by the
 fingertip errors of this rollout. The cheapest rollout is kept. Nothing is random.
@@ -24,17 +24,17 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 
-_LEARNING_RATE = 0.7  # of the update that the linear model takes for enough
-_SAME_POSTURE = 1e-3  # [m, rad] up to which a hand is where a rollout had it
+_LEARNING_RATE = 0.7  # share of the update of the linear model
+_SAME_POSTURE = 1e-3  # [m, rad] between a hand and a rollout of it that goes as rehearsed
 
 
 class RehearsalConfig(NamedTuple):
     """Parameters of a rehearsal; the defaults are for a hand that searches where it fails."""
 
     window: float = 0.5
-    """The time that is played as it was rehearsed [s]."""
+    """The duration that is rehearsed, then played [s]."""
     cost_after: float = 0.2
-    """The time after the window that counts in the cost: the hand should be able to go on [s]."""
+    """The time after the window that counts in the cost, so that the hand can go on [s]."""
     updated_after: float = 0.4
     """The time after the window whose controls are updated, too [s]."""
     iterations: int = 5
@@ -42,28 +42,28 @@ class RehearsalConfig(NamedTuple):
     refinements: int = 16
     """The maximum number of rollouts in which strikes are refined."""
     max_mistakes: float = 0.5
-    """The share of the plan's mistakes that a rollout may make to be kept. With more of them,
-    fingers are caught, and a search that begins with the plan frees them sooner."""
+    """The maximum share of the plan's mistakes in a rollout to be kept. With more, fingers are
+    caught, and a search that begins with the plan frees them sooner."""
 
 
 _DEFAULT = RehearsalConfig()
 
 
 class HandRehearsal:
-    """The controls of the next steps, as they were rehearsed.
+    """Rehearsed controls of the next steps.
 
     Attributes:
         lookahead: the number of steps of the plan that a rehearsal needs.
-        tail: (N, A) controls of the steps from `end` on, of the rollout that was kept.
+        tail: (N, A) controls of the steps from `end` on, in the best rollout.
         keys: the keys near the hand.
-        keys_at_end: (2, K) positions and speeds of these keys before the step `end`, in the
-            rollout that was kept [rad, rad/s].
+        keys_at_end: (2, K) positions and speeds of these keys before the step `end`, in the best
+            rollout [rad, rad/s].
     """
 
     def __init__(
         self, scene: Scene, simulator: HandRollouts, dt: float, config: RehearsalConfig = _DEFAULT
     ) -> None:
-        """Begin with nothing rehearsed, for a hand that is alone in a scene."""
+        """Begin without rehearsed steps, for a hand that is alone in a scene."""
         self._config, self._dt, self._simulator = config, dt, simulator
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._window = steps_in(config.window, dt)
@@ -73,7 +73,7 @@ class HandRehearsal:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was rehearsed."""
+        """Forget all rehearsed steps."""
         self._first, self._ctrl = 0, np.zeros((0, len(self._servos.noise)))
         self._expected = np.zeros((0, 0))  # (N, J) before each step
         self.tail = self._ctrl
@@ -81,19 +81,19 @@ class HandRehearsal:
 
     @property
     def end(self) -> int:
-        """Step after the last one that was rehearsed."""
+        """The step after the last rehearsed one."""
         return self._first + len(self._ctrl)
 
     def ctrl(self, step: int) -> Array:
-        """Controls (N, A) from `step` on, as far as they have been rehearsed."""
+        """Rehearsed controls (N, A) from `step` on."""
         return self._ctrl[step - self._first :]
 
     def goes_as_rehearsed(self, step: int, hand_qpos: Array) -> bool:
-        """Whether a rollout without mistakes had the hand at (J,) before `step` [m, rad]."""
-        played = step - self._first
-        if not 0 <= played < len(self._expected):
+        """Whether the hand is at `hand_qpos` (J,) before `step` in a rollout without mistakes."""
+        row = step - self._first
+        if not 0 <= row < len(self._expected):
             return False
-        return bool(np.abs(hand_qpos - self._expected[played]).max() < _SAME_POSTURE)
+        return bool(np.abs(hand_qpos - self._expected[row]).max() < _SAME_POSTURE)
 
     def rehearse(
         self,
@@ -105,10 +105,10 @@ class HandRehearsal:
         """Rehearse the next steps (S,) of a plan, and return the number of steps of all rollouts.
 
         There are `lookahead` steps, or less at the end of the plan. The simulation is of the hand
-        on all keys, in its present state.
+        on all keys, in its current state.
         """
         horizon = start_rollouts(self._simulator, simulation, goals, steps, self._keyboard)
-        ctrl = kept = tracking.ctrl[steps]
+        ctrl = best_ctrl = tracking.ctrl[steps]
         best = rollout = self._roll_out(ctrl, tracking, steps, horizon)
         max_mistakes, simulated = self._config.max_mistakes * rollout.mistakes, len(steps)
         for _ in range(self._config.iterations - 1):
@@ -119,37 +119,37 @@ class HandRehearsal:
             rollout = self._roll_out(ctrl, tracking, steps, horizon)
             simulated += len(steps)
             if rollout.cost < best.cost and rollout.mistakes <= max_mistakes:
-                kept, best = ctrl, rollout
-        seen = steps[: self._cost_steps + 1]  # strikes of the last that counts may be late
+                best_ctrl, best = ctrl, rollout
+        cost_steps = steps[: self._cost_steps + 1]  # with the next one, as strikes may be late
         keys = self._simulator.keys
         silent = horizon.start.silent
-        strikes = HorizonStrikes(goals, seen, self._keyboard, keys, self._cost_steps, silent)
-        changing = sorted({step - 1 for step in strikes.step.tolist() if step > 1})
+        strikes = HorizonStrikes(goals, cost_steps, self._keyboard, keys, self._cost_steps, silent)
+        restarts = sorted({step - 1 for step in strikes.step.tolist() if step > 1})
         last: tuple[Array, Rollout] | None = None
 
-        def simulated_from_change(ctrl: Array) -> Rollout:
-            """The rollout of controls, which begin like the last ones."""
+        def roll_out_from_change(ctrl: Array) -> Rollout:
+            """Rollout of controls, from where they begin to differ from the last ones."""
             nonlocal last
-            ctrl, first = ctrl[: len(seen)], 0
+            ctrl, first = ctrl[: len(cost_steps)], 0
             if last is not None:
                 changed = (ctrl != last[0]).any(axis=1)
                 if not changed.any():
                     return last[1]
-                first = max(step for step in (0, *changing) if step <= changed.argmax())
-            begun = None if last is None else last[1]
-            rollout = self._roll_out(ctrl, tracking, seen, horizon, begun, first, changing)
+                first = max(step for step in (0, *restarts) if step <= changed.argmax())
+            previous = None if last is None else last[1]
+            rollout = self._roll_out(ctrl, tracking, cost_steps, horizon, previous, first, restarts)
             last = ctrl, rollout
             return rollout
 
         refined = self._refinement.refine(
-            kept,
+            best_ctrl,
             best,
             strikes,
             self._simulator.fingertip_jacobian,
-            simulated_from_change,
+            roll_out_from_change,
             self._config.refinements,
         )
-        simulated += refined.rollouts * len(seen)
+        simulated += refined.rollouts * len(cost_steps)
         self._keep(int(steps[0]), simulation.state.hand_qpos[0], refined.ctrl, refined.rollout)
         return simulated
 
@@ -168,11 +168,11 @@ class HandRehearsal:
         tracking: Tracking,
         steps: NDArray[np.intp],
         horizon: HorizonCost,
-        begun: Rollout | None = None,
+        previous: Rollout | None = None,
         first: int = 0,
-        kept: Sequence[int] = (),
+        snapshots: Sequence[int] = (),
     ) -> Rollout:
-        """Simulate controls (S, A), with feedback, from the step `first` on."""
+        """Simulate controls (S, A), with feedback, from the step `first` on, see `roll_out`."""
 
         def with_feedback() -> Iterator[Array]:
             for step, planned in zip(steps[first:], ctrl[first:], strict=True):
@@ -184,9 +184,9 @@ class HandRehearsal:
             horizon,
             with_feedback(),
             cost_steps=self._cost_steps,
-            begun=begun,
+            previous=previous,
             first=first,
-            kept=kept,
+            snapshots=snapshots,
         )
 
     def _update(self, rollout: Rollout, feedback: Array, horizon: HorizonCost) -> Array:

@@ -1,10 +1,10 @@
 """Receding-horizon sampling around the nominal trajectory of one hand.
 
-At each step, the nominal controls of the horizon, with the warm start that the step before has
-left, are rolled out. If keys go wrong, candidates around the best controls so far are drawn and
-rolled out, too: predictive sampling (Howell et al., 2022). The first controls are played; the
-others are the warm start of the next step. The nominal trajectory is rehearsed first, half a second
-at a time, so that sampling is only needed where that fails.
+At each step, the nominal controls of the horizon are rolled out, with the warm start of the last
+step. If keys go wrong, candidates around the best controls so far are drawn and rolled out, too:
+predictive sampling (Howell et al., 2022). The first controls are played; the others are the warm
+start of the next step. The nominal trajectory is rehearsed first, half a second at a time, and
+sampling is only needed where that fails.
 
 The model is the hand alone, on the keys near it. It moves as in the whole scene unless the hands
 touch, and takes a third of the time.
@@ -50,24 +50,24 @@ Steps = NDArray[np.intp]
 _IDLE_NOISE = 0.3  # of a servo's noise, for fingers that do not play within the horizon
 _SPARSITY = 0.3  # share of the servos that half of the candidates change
 _CAUGHT = 0.012  # [m] beside its target at which a finger does not come free by itself
-_STUCK = 0.005  # [m] at most that a caught finger moves within the horizon if it stays caught
-_ESCAPE_HORIZON = 0.6  # [s] in which an escape pays: in the air a hand gives up keys that it holds
-_CORRECTION_GAINS = np.array([1.0, 2.0])  # by which fingertip corrections are multiplied
-_HALF_LIFE = 1.0  # [s] of a warm start after which it is no longer needed
+_STUCK = 0.005  # maximum motion within the horizon of a finger that stays caught [m]
+_ESCAPE_HORIZON = 0.6  # [s] in which an escape pays: in the air, a hand gives up the keys it holds
+_CORRECTION_GAINS = np.array([1.0, 2.0])  # of fingertip corrections
+_HALF_LIFE = 1.0  # of a warm start that is no longer needed [s]
 
 # Share of a full search's control steps that a hand may simulate at each step, or save for later.
 # It keeps planning within the time of the music on two cores where every step fails. Rehearsals
 # come on top.
 BUDGET_SHARE = 0.4
-_INITIAL_BUDGET = 1.0  # [s] for which it has been saved where a hand follows another trajectory
-REFINED_HORIZON = 5  # steps that are simulated to refine what is struck in the first two
-_REFINED = 2  # of these steps
-REFINEMENTS = 8  # rollouts at most for it, beside one of what was found by search
+_INITIAL_BUDGET = 1.0  # [s] of saved budget of a hand that begins to follow another trajectory
+REFINED_HORIZON = 5  # steps that are simulated to refine the strikes of the first ones
+_REFINED = 2  # first steps whose strikes are refined
+REFINEMENTS = 8  # maximum rollouts to refine strikes, beside one of the controls before
 _SEEDS = 1 << 32  # of the random numbers from a step on
 _MAX_DRIFT = 1e-5  # [m, rad] between the model and the scene, above which the model is reset
 
-# What changes as it plays, beside its model and its random numbers.
-_CHANGING = "_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined", "_previous"
+# State of the search, beside its model and its random numbers.
+_STATE = "_step", "_in_sync", "_rehearsal", "_warm_start", "_refined", "_is_refined", "_previous"
 
 
 class PlayedStep(NamedTuple):
@@ -79,7 +79,7 @@ class PlayedStep(NamedTuple):
 
 
 class SimulatedStep(NamedTuple):
-    """A control step of a hand in its own model, and what came of it."""
+    """A control step of a hand in its own model, and its outcome."""
 
     played: PlayedStep
     key_path: Array  # (S + 1, K) before the step and after each of its physics steps [rad]
@@ -92,7 +92,7 @@ class Snapshot(NamedTuple):
     step: int
     state: State
     model: Any
-    changing: dict[str, Any]
+    attributes: dict[str, Any]
     budget: int
 
 
@@ -100,14 +100,14 @@ class HandSearch:
     """Controls of one hand, step by step.
 
     Attributes:
-        servos: the hand's servos among all of the scene.
-        joints: the hand's joints among all of the scene.
+        servos: the hand's servos among those of the scene.
+        joints: the hand's joints among those of the scene.
     """
 
     def __init__(
         self, plan: SongPlan, side: Side, rng: np.random.Generator, config: PlannerConfig
     ) -> None:
-        """Follow a plan, as far as it goes, from its first step on."""
+        """Follow a plan from its first step on."""
         dt = plan.track.config.control_timestep
         scene, self.servos, self.joints = hand_alone(plan.scene, side)
         self._rng, self._dt, self._servos, self._side = rng, dt, servos_of(scene), side
@@ -118,14 +118,14 @@ class HandSearch:
         self._escape_horizon = max(self._horizon, steps_in(_ESCAPE_HORIZON, dt))
         self._model, self._simulator = PlanningSimulation(scene, 1, dt), HandRollouts(scene, dt)
         self._rollouts = Rollouts(self._simulator)
-        self._keyboard = scene.keyboard
+        self._keyboard, self._all_keys = scene.keyboard, slice(0, scene.keyboard.num_keys)
         self._escapes = EscapeMotions(self._servos, dt)
         self._rehearsal = HandRehearsal(scene, self._simulator, dt)
         self._refinement = StrikeRefinement(self._servos, strike_model(scene, dt))
         self._warm_start = np.zeros((self._horizon, len(self._servos.noise)))
-        # Controls of the next step, if its strikes are refined: feedback would undo it.
+        # Controls of the next step, if its strikes are refined: feedback would undo this.
         self._refined, self._is_refined = np.zeros(len(self._servos.noise)), False
-        self._previous = np.zeros(len(self._servos.noise))  # correction of the step before
+        self._previous = np.zeros(len(self._servos.noise))  # correction of the last step
         self._decay = 0.5 ** (dt / _HALF_LIFE)
         full_search = self._iterations * self._num_candidates * self._horizon
         # Budgets are whole numbers of control steps, so that sums are exact.
@@ -135,13 +135,13 @@ class HandSearch:
         self._step, self._in_sync, self._rehearses = 0, True, self._searches
         weights = shipped().get(plan.scene.hand.name) if config.proposals == "learnt" else None
         fits = weights is not None and weights.sizes == sizes_of(plan.scene)
-        self._weights = weights if fits else None  # else other hands have trained them
+        self._weights = weights if fits else None  # else they are those of another hand
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """Continue from `step` on with a longer plan.
 
-        Where the plan ends within the horizon, the song is taken to end.
+        If the plan ends within the horizon, so does the song.
         """
         self._goals = HandGoals(plan, self._side)
         self._tracking = plan.nominal.tracking.of(self.servos)
@@ -152,10 +152,10 @@ class HandSearch:
     def restart(
         self, goals: HandGoals, tracking: Tracking, step: int, rng: np.random.Generator
     ) -> None:
-        """Follow what was played, from `step` on, with a saved budget and no warm start.
+        """Follow a trajectory from `step` on, with a saved budget and no warm start.
 
-        It need not be rehearsed, and has no network candidate. The goals are to hold the keys that
-        sounded.
+        It is not rehearsed, and has no network candidate. The goals are to hold the keys that
+        sounded in it.
         """
         self._goals, self._tracking, self._network = goals, tracking, None
         self._rehearses = False
@@ -165,19 +165,19 @@ class HandSearch:
 
     @property
     def simulated(self) -> int:
-        """Control steps in rollouts and rehearsals, since it began or was restarted."""
+        """Number of control steps simulated since the beginning or the last restart."""
         return self._rollouts.simulated + self._rehearsed
 
     @property
     def _budget(self) -> int:
-        """Control steps that it may simulate."""
+        """Number of control steps that it may still simulate."""
         return self._granted - self._rollouts.simulated
 
     @property
     def lookahead(self) -> int:
         """Number of steps of the plan that are needed, with presses that begin soon after."""
-        rehearsed = self._rehearsal.lookahead if self._rehearses else 0
-        return max(self._escape_horizon, rehearsed) + steps_in(ABOUT_TO_PRESS, self._dt)
+        rehearsal = self._rehearsal.lookahead if self._rehearses else 0
+        return max(self._escape_horizon, rehearsal) + steps_in(ABOUT_TO_PRESS, self._dt)
 
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
         """Controls (A,) of this hand for a step from its joints (J,) and all keys (K,)."""
@@ -196,7 +196,7 @@ class HandSearch:
         return SimulatedStep(played, key_path, fingertips)
 
     def synchronise(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
-        """Put the model into the state of the scene, unless it is there."""
+        """Put the model into the state of the scene, unless they agree."""
         drift = np.abs(self._model.state.hand_qpos[0] - hand_qpos).max()
         if not self._in_sync or drift > _MAX_DRIFT:
             self._model.set_joints(hand_qpos, hand_qvel, key_qpos)
@@ -214,26 +214,26 @@ class HandSearch:
 
     @property
     def steps_left(self) -> int:
-        """The number of steps that are still to be played, as far as the plan goes."""
+        """The number of steps of the plan that are still to be played."""
         return len(self._tracking.ctrl) - self._step
 
     def save(self) -> Snapshot:
-        """Everything from which the hand goes on after `restore`, but for its random numbers."""
-        changing = {name: copy(getattr(self, name)) for name in _CHANGING}
+        """A snapshot for `restore`, without random numbers."""
+        attributes = {name: copy(getattr(self, name)) for name in _STATE}
         model = self._model.save(0)
-        return Snapshot(self._step, self._model.state, model, changing, self._budget)
+        return Snapshot(self._step, self._model.state, model, attributes, self._budget)
 
-    def restore(self, saved: Snapshot) -> None:
-        """Go to where `save` was called, with as much budget as then. Random numbers are new."""
-        self._granted = saved.budget + self._rollouts.simulated
-        for name, value in saved.changing.items():
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a snapshot, with its budget and new random numbers."""
+        self._granted = snapshot.budget + self._rollouts.simulated
+        for name, value in snapshot.attributes.items():
             setattr(self, name, copy(value))
-        self._model.restore(0, saved.model)
+        self._model.restore(0, snapshot.model)
 
     def go_back(self, step: int) -> None:
         """Go on from `step`, at which the scene is in another state than the model was.
 
-        What follows does not depend on how far ahead the model was.
+        The next steps do not depend on how far ahead the model was.
         """
         self._step, self._in_sync, self._is_refined = step, False, False
         self._warm_start[:], self._previous[:] = 0.0, 0.0
@@ -242,14 +242,13 @@ class HandSearch:
         self._granted = self._rollouts.simulated
         self._granted += self._income * steps_in(_INITIAL_BUDGET, self._dt)
 
-    def cost(self, saved: Snapshot, num_steps: int) -> HorizonCost:
-        """The cost of steps from a snapshot on, of all keys; less than `num_steps` at the end."""
-        steps = np.arange(saved.step, min(saved.step + num_steps, len(self._tracking.ctrl)))
-        every = slice(0, self._keyboard.num_keys)
-        return cost_from(saved.state, self._goals, steps, self._keyboard, every)
+    def cost(self, start: Snapshot, num_steps: int) -> HorizonCost:
+        """The cost, with all keys, of `num_steps` from a snapshot on, or less at the end."""
+        steps = np.arange(start.step, min(start.step + num_steps, len(self._tracking.ctrl)))
+        return cost_from(start.state, self._goals, steps, self._keyboard, self._all_keys)
 
     def _rehearse(self) -> None:
-        """Rehearse the next steps, unless that has been done."""
+        """Rehearse the next steps, unless they have been rehearsed."""
         if not self._rehearses or self._step < self._rehearsal.end:
             return
         last = min(self._step + self._rehearsal.lookahead, len(self._tracking.ctrl))
@@ -259,7 +258,7 @@ class HandSearch:
             )
 
     def _optimise(self) -> Array:
-        """First controls (A,) of the best sequence that was found for the horizon."""
+        """First controls (A,) of the best sequence found for the horizon."""
         steps, nominal = self._nominal(self._horizon)
         if not self._searches:
             return self._servos.clip(nominal[0])
@@ -272,39 +271,38 @@ class HandSearch:
         self._start_rollouts(steps)
         rollout = self._rollouts.simulate(best)
         fingertips = self._model.state.fingertip_xpos[0, self._goals.fingers]
-        affordable = self._budget > 0
-        if rollout.mistakes and affordable:
+        has_budget = self._budget > 0
+        if rollout.mistakes and has_budget:
             caught = self._caught()
             best = self._search(nominal, best, rollout, steps, caught)
             if caught.any():
                 best = self._escape(best, fingertips)
         best = self._refine(best, steps)
-        # The warm start fades unless fingers still return to the plan or there was no budget.
-        needed = self._off_target(fingertips, self._step).any() or (
-            rollout.mistakes and not affordable
+        # The warm start fades unless fingers are still off the plan or there was no budget.
+        is_needed = self._off_target(fingertips, self._step).any() or (
+            rollout.mistakes and not has_budget
         )
-        self._warm_start[:-1] = (1.0 if needed else self._decay) * (best - nominal)[1:]
+        self._warm_start[:-1] = (1.0 if is_needed else self._decay) * (best - nominal)[1:]
         self._warm_start[-1] = 0.0
         return best[0]
 
     def _refine(self, ctrl: Array, steps: Steps) -> Array:
         """Controls (H, A), refined for the strikes that begin in this step or the next."""
-        inside = steps[: len(self._tracking.ctrl) - self._step][:REFINED_HORIZON]
-        every = slice(0, self._keyboard.num_keys)
-        if not len(HorizonStrikes(self._goals, inside, self._keyboard, every, _REFINED)):
+        steps = steps[: len(self._tracking.ctrl) - self._step][:REFINED_HORIZON]
+        if not len(HorizonStrikes(self._goals, steps, self._keyboard, self._all_keys, _REFINED)):
             return ctrl
-        horizon = start_rollouts(self._simulator, self._model, self._goals, inside, self._keyboard)
+        horizon = start_rollouts(self._simulator, self._model, self._goals, steps, self._keyboard)
 
         def simulate(ctrl: Array) -> Rollout:
-            self._rehearsed += len(inside)
+            self._rehearsed += len(steps)
             return roll_out(self._simulator, horizon, ctrl)
 
         keys = self._simulator.keys
         silent = horizon.start.silent
-        strikes = HorizonStrikes(self._goals, inside, self._keyboard, keys, _REFINED, silent)
+        strikes = HorizonStrikes(self._goals, steps, self._keyboard, keys, _REFINED, silent)
         refined = self._refinement.refine(
-            ctrl[: len(inside)],
-            simulate(ctrl[: len(inside)]),
+            ctrl[: len(steps)],
+            simulate(ctrl[: len(steps)]),
             strikes,
             self._simulator.fingertip_jacobian,
             simulate,
@@ -312,23 +310,23 @@ class HandSearch:
         )
         if (strikes.step == 1).any():
             self._refined, self._is_refined = refined.ctrl[1], True
-        return np.concatenate([refined.ctrl, ctrl[len(inside) :]])
+        return np.concatenate([refined.ctrl, ctrl[len(steps) :]])
 
     # The nominal trajectory
 
     def _nominal(self, horizon: int) -> tuple[Steps, Array]:
         """Next steps (H,), and their nominal controls (H, A), the first with feedback."""
-        steps, nominal = self._planned(horizon)
+        steps, nominal = self._nominal_without_feedback(horizon)
         nominal[0] -= self._tracking.feedback(self._step, self._servo_state())
         return steps, nominal
 
-    def _planned(self, horizon: int) -> tuple[Steps, Array]:
-        """Next steps (H,), and their controls (H, A), as planned or as rehearsed."""
+    def _nominal_without_feedback(self, horizon: int) -> tuple[Steps, Array]:
+        """Next steps (H,), and their controls (H, A) by the rehearsal, else by the plan."""
         last = len(self._tracking.ctrl) - 1
         steps = np.minimum(np.arange(self._step, self._step + horizon), last)
-        planned, rehearsed = self._tracking.ctrl[steps], self._rehearsal.ctrl(self._step)[:horizon]
-        planned[: len(rehearsed)] = rehearsed
-        return steps, planned
+        ctrl, rehearsed = self._tracking.ctrl[steps], self._rehearsal.ctrl(self._step)[:horizon]
+        ctrl[: len(rehearsed)] = rehearsed
+        return steps, ctrl
 
     def _servo_state(self) -> Array:
         """Positions and speeds (A, 2) of the servos now."""
@@ -337,9 +335,9 @@ class HandSearch:
         return self._servos.of_joints.T @ joints
 
     def _start_rollouts(self, steps: Steps) -> None:
-        inside = steps[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
+        steps = steps[: len(self._tracking.ctrl) - self._step]  # without those after the end
         self._cost = start_rollouts(
-            self._simulator, self._model, self._goals, inside, self._keyboard
+            self._simulator, self._model, self._goals, steps, self._keyboard
         )
         self._rollouts.start(self._cost)
 
@@ -348,13 +346,13 @@ class HandSearch:
     def _search(
         self, nominal: Array, best: Array, rollout: Rollout, steps: Steps, caught: Mask
     ) -> Array:
-        """Cheapest controls (H, A) that are found before the budget is used up.
+        """Cheapest controls (H, A) found within the budget.
 
-        Stops when controls make no mistakes. Iterations after the first must leave a budget for the
-        first ones of later steps, which gain the most.
+        The search stops when controls make no mistakes. Iterations after the first must leave a
+        budget for the first iterations of later steps, which gain the most.
 
         `best` (H, A) are the cheapest controls so far, with their `rollout`; `caught` (F,) are the
-        fingers that are caught.
+        caught fingers.
         """
         if self._network and not caught.any():
             ctrl, candidate = self._network_candidate(self._network, rollout.cost)
@@ -366,12 +364,12 @@ class HandSearch:
         for iteration in range(self._iterations):
             if self._budget <= iteration * self._num_candidates * self._horizon:
                 break
-            guided = self._corrected(best, rollout)
+            corrected = self._correct_fingertips(best, rollout)
             if iteration == 0:
-                guided = np.concatenate([guided, self._restarts(nominal, best, caught)])
-            candidates = np.concatenate([guided, self._draw(best, sigma)])
+                corrected = np.concatenate([corrected, self._restarts(nominal, best, caught)])
+            candidates = np.concatenate([corrected, self._draw(best, sigma)])
             candidates, rollouts = self._simulate_with_crossover(candidates, best, rollout)
-            cheapest = int(np.argmin([each.cost for each in rollouts]))
+            cheapest = int(np.argmin([candidate.cost for candidate in rollouts]))
             if rollouts[cheapest].cost < rollout.cost:
                 best, rollout = candidates[cheapest], rollouts[cheapest]
                 if not rollout.mistakes:
@@ -381,22 +379,22 @@ class HandSearch:
     def _simulate_with_crossover(
         self, candidates: Array, best: Array, rollout: Rollout
     ) -> tuple[Array, list[Rollout]]:
-        """Candidates (N, H, A) and their crossover with the best, and all their rollouts."""
+        """Candidates (N, H, A) with their crossover with the best, and all their rollouts."""
         rollouts = self._rollouts.simulate_all(candidates, rollout.cost)
         child = self._crossover(np.array([best, *candidates]), [rollout, *rollouts])
-        cutoff = min(each.cost for each in (rollout, *rollouts))
+        cutoff = min(parent.cost for parent in (rollout, *rollouts))
         rollouts += self._rollouts.simulate_all(child, cutoff)
         return np.concatenate([candidates, child]), rollouts
 
     def _draw(self, best: Array, sigma: Array) -> Array:
-        """(N, H, A) `best` (H, A) with noise that changes linearly; `sigma` (A,) is its spread."""
+        """(N, H, A) `best` (H, A) with noise that is linear in time and has deviations `sigma`."""
         count, servos = self._num_candidates, len(self._servos.noise)
         ends = self._rng.standard_normal((count, 2, 1, servos))
-        late = np.linspace(0.0, 1.0, self._horizon)[:, None]
-        noise = (1 - late) * ends[:, 0] + late * ends[:, 1]
-        sparse = self._rng.random((count, 1, servos)) < _SPARSITY
-        sparse[: count // 2] = True
-        return self._servos.clip(best + sigma * noise * sparse)
+        share = np.linspace(0.0, 1.0, self._horizon)[:, None]
+        noise = (1 - share) * ends[:, 0] + share * ends[:, 1]
+        mask = self._rng.random((count, 1, servos)) < _SPARSITY
+        mask[: count // 2] = True
+        return self._servos.clip(best + sigma * noise * mask)
 
     def _sigma(self, steps: Steps) -> Array:
         """Standard deviation (A,) of the noise."""
@@ -405,28 +403,28 @@ class HandSearch:
         busy = (finger < 0) | playing[finger]
         return self._servos.noise * np.where(busy, 1.0, _IDLE_NOISE)
 
-    # Candidates that are not drawn
+    # Candidates that are not random
 
     def _network_candidate(self, network: NetworkCandidate, cutoff: float) -> tuple[Array, Rollout]:
-        """Controls (H, A) that the networks compute, and their rollout."""
-        _, planned = self._planned(self._horizon)
+        """Controls (H, A) of the networks, and their rollout."""
+        _, planned = self._nominal_without_feedback(self._horizon)
         controls, key_qpos = self._servos.clip(planned), self._model.state.key_qpos[0]
 
-        def recorded() -> Iterator[Array]:
-            computed = network.controls(
+        def record() -> Iterator[Array]:
+            outputs = network.controls(
                 self._simulator, self._step, planned, self._previous, key_qpos
             )
-            for k, ctrl in enumerate(computed):
+            for k, ctrl in enumerate(outputs):
                 controls[k] = ctrl
                 yield ctrl
 
-        return controls, self._rollouts.simulate(recorded(), cutoff)
+        return controls, self._rollouts.simulate(record(), cutoff)
 
-    def _corrected(self, ctrl: Array, rollout: Rollout) -> Array:
+    def _correct_fingertips(self, ctrl: Array, rollout: Rollout) -> Array:
         """Controls (C, H, A) with fingertip corrections; none if the rollout was given up.
 
-        A control changes by what would correct the fingertips a step later, in a multiple of what
-        the Jacobian says: iterative learning control (Arimoto et al., 1984).
+        A control changes by a multiple of the servo motion that would correct the fingertips a step
+        later: iterative learning control (Arimoto et al., 1984).
         """
         if not np.isfinite(rollout.cost):
             return ctrl[None][:0]
@@ -451,16 +449,17 @@ class HandSearch:
             return candidates[:0]
         costs = [
             self._cost.by_finger(
-                np.array([keys.costs for _, _, keys in each.totals]), np.array(each.fingertips)
+                np.array([keys.costs for _, _, keys in rollout.totals]),
+                np.array(rollout.fingertips),
             )
-            for each in rollouts
+            for rollout in rollouts
         ]
         return crossover(candidates, costs, best, self._servos.finger)
 
     # Fingers that are caught between keys
 
     def _off_target(self, fingertips: Array, state: int) -> Mask:
-        """Fingers (F,) that play in a state and whose tips (F, 3) [m] are far off their targets."""
+        """Playing fingers (F,) in a state whose tips (F, 3) [m] are far off their targets."""
         error = (fingertips - self._goals.fingertips[state])[:, :2]
         return self._goals.playing[state] & (np.linalg.norm(error, axis=1) > _CAUGHT)
 
@@ -470,9 +469,9 @@ class HandSearch:
         return self._off_target(self._simulator.fingertips(), end)
 
     def _escape(self, best: Array, fingertips: Array) -> Array:
-        """Escape motion (H, A), if fingers stay caught by `best` and it pays in the long run.
+        """`best` (H, A), or an escape motion if fingers stay caught and it pays in the long run.
 
-        `fingertips` (F, 3) are those now [m].
+        `fingertips` (F, 3) are the current ones [m].
         """
         rollout = self._rollouts.simulate(best)
         moved = np.linalg.norm(self._simulator.fingertips() - fingertips, axis=1)
@@ -485,5 +484,5 @@ class HandSearch:
         escapes = self._escapes.all(nominal, caught, self._servo_state()[:, 0])
         candidates = np.concatenate([unchanged[None], escapes])
         self._start_rollouts(steps)
-        costs = [each.cost for each in self._rollouts.simulate_all(candidates)]
+        costs = [candidate.cost for candidate in self._rollouts.simulate_all(candidates)]
         return candidates[int(np.argmin(costs)), : len(best)]

@@ -27,7 +27,7 @@ class HandsInScene:
     They act on the first simulation of states of the whole scene.
 
     Attributes:
-        servos: the hands' servos among all of the scene, which are all.
+        servos: the hands' servos among those of the scene: all of them.
         lookahead: the number of steps of the plan that are needed.
     """
 
@@ -45,16 +45,17 @@ class HandsInScene:
         The `processes` search for the last hands, if they can.
         """
         sides, dt = plan.scene.sides, plan.track.config.control_timestep
-        rngs, here = rng.spawn(len(sides)), len(sides) - len(processes)
+        rngs, num_local = rng.spawn(len(sides)), len(sides) - len(processes)
         self._threads, self._size = context.threads, plan.nominal.tracking.ctrl.shape[1]
-        for process, side, hand_rng in zip(processes, sides[here:], rngs[here:], strict=True):
+        remote = zip(processes, sides[num_local:], rngs[num_local:], strict=True)
+        for process, side, hand_rng in remote:
             process.search(plan, side, hand_rng, context.config)
         self._hands, local = list[HandSearch](), list[RestartingSearch]()
         windows = list[WindowSearch]()
-        elsewhere = [None] * here + [*processes]
-        for side, hand_rng, other in zip(sides, rngs, elsewhere, strict=True):
-            if other is not None and other.is_ready():
-                windows.append(other)
+        process_of_side = [None] * num_local + [*processes]
+        for side, hand_rng, hand_process in zip(sides, rngs, process_of_side, strict=True):
+            if hand_process is not None and hand_process.is_ready():
+                windows.append(hand_process)
             else:
                 self._hands.append(HandSearch(plan, side, hand_rng, context.config))
                 local.append(RestartingSearch(self._hands[-1], dt))
@@ -70,19 +71,19 @@ class HandsInScene:
 
         def act(i: int) -> None:
             _, servos, joints = self._alone[i]
-            here = state.hand_qpos[0, joints], state.hand_qvel[0, joints], state.key_qpos[0]
+            now = state.hand_qpos[0, joints], state.hand_qvel[0, joints], state.key_qpos[0]
             if self._ahead:
-                ctrl[servos] = self._ahead[i].act(HandState(step, *here))
+                ctrl[servos] = self._ahead[i].act(HandState(step, *now))
             else:
-                ctrl[servos] = self._hands[i].act(*here)
+                ctrl[servos] = self._hands[i].act(*now)
 
         self._threads.for_each(range(len(self._alone)), act)
         return ctrl
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """Continue from `step` on with a longer plan."""
-        for each in self._ahead or self._hands:
-            each.follow(plan, step)
+        for hand in self._ahead or self._hands:
+            hand.follow(plan, step)
 
     def restart(
         self,
@@ -91,15 +92,16 @@ class HandsInScene:
         step: int,
         rngs: Sequence[np.random.Generator],
     ) -> None:
-        """Follow what was played, from `step` on, and search where less of it would sound.
+        """Follow a trajectory from `step` on, and search where its keys would not sound.
 
-        The goals of each hand are to hold the keys that sounded. No hand searches ahead any more.
+        The goals of each hand are to hold the keys that sounded in it. No hand searches ahead any
+        more.
         """
         self._ahead = []
-        for hand, part, rng in zip(self._hands, goals, rngs, strict=True):
-            hand.restart(part, tracking.of(hand.servos), step, rng)
+        for hand, hand_goals, rng in zip(self._hands, goals, rngs, strict=True):
+            hand.restart(hand_goals, tracking.of(hand.servos), step, rng)
 
     @property
     def simulated(self) -> int:
-        """Control steps in rollouts since the hands began or were restarted."""
+        """Number of control steps simulated since the beginning or the last restart."""
         return sum(hand.simulated for hand in self._hands)

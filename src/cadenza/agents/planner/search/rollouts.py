@@ -19,12 +19,12 @@ from cadenza.sim.protocol import State
 
 Keys = TypeVar("Keys")
 
-_EVALUATED = 4  # steps at a time, as one by one it takes about as long as to simulate them
-_EXPECTED = 0.8  # share of the least cost-to-go that was seen, which a rollout is expected to have
+_BATCH = 4  # steps to evaluate together: one by one takes about as long as their simulation
+_EXPECTED = 0.8  # expected cost-to-go, as a share of the minimum of earlier rollouts
 
 
 class Rollout(NamedTuple):
-    """A simulated control sequence, of the L steps that were simulated."""
+    """A simulated control sequence of L steps."""
 
     cost: float  # the cost of all steps, infinite if the rollout was given up or diverged
     mistakes: int  # the number of wrong keys, summed over the steps
@@ -33,7 +33,7 @@ class Rollout(NamedTuple):
     hand_qpos: list[Array]  # (J,) after each step [m, rad]
     key_qvel: list[Array]  # (K,) after each step [rad/s]
     key_paths: list[Array]  # (S + 1, K) before each step and after each of its physics steps [rad]
-    # Cost and mistakes so far, and the keys as far as they matter to the cost, after each step
+    # Cost and mistakes so far, and the state of the keys that the cost needs, after each step
     totals: list[tuple[float, int, Any]]
 
     @property
@@ -60,15 +60,16 @@ class Cost(Protocol[Keys]):
     """The cost of rollouts of H steps."""
 
     num_steps: int  # H, the number of steps
-    start: Keys  # the state of the keys before the first step, as far as it matters to the cost
+    start: Keys  # the state of the keys before the first step that the cost needs
 
     def costs(
         self, first: int, key_paths: Array, fingertips: Array, before: Keys
     ) -> list[tuple[float, int, Keys]]:
-        """Cost and mistakes of L steps, from the `first` on, each with the keys after it.
+        """Cost and mistakes of L steps from `first` on, each with the keys after it.
 
         Keys are at `key_paths` (L, S + 1, K) before each step and after each of its physics steps
-        [rad], and fingertips (L, F, 3) after each [m].
+        [rad], fingertips at (L, F, 3) after each step [m], and `before` is the last state of the
+        keys.
         """
 
 
@@ -79,9 +80,9 @@ def start_rollouts(
     steps: NDArray[np.intp],
     keyboard: Keyboard,
 ) -> HorizonCost:
-    """Make rollouts start where a hand is, on all keys on its path through `steps` (H,).
+    """Make rollouts start from the state of a hand, with all keys on its path through `steps` (H,).
 
-    The simulation is of the hand on all keys, in its present state. Returns the cost of rollouts
+    The simulation is of the hand on all keys, in its current state. Returns the cost of rollouts
     over these steps.
     """
     y_now = simulation.state.fingertip_xpos[0, goals.fingers, 1]
@@ -93,9 +94,9 @@ def start_rollouts(
 def cost_from(
     state: State, goals: HandGoals, steps: NDArray[np.intp], keyboard: Keyboard, keys: slice
 ) -> HorizonCost:
-    """The cost of these keys in `steps` (H,) that begin in a state of the hand on all keys."""
-    ceased = state.key_events[1][0, keys]
-    silent = np.where(np.isnan(ceased), np.inf, goals.dt - ceased)
+    """The cost of `keys` in `steps` (H,) that begin in a state of the hand on all keys."""
+    offset = state.key_events[1][0, keys]
+    silent = np.where(np.isnan(offset), np.inf, goals.dt - offset)
     return HorizonCost(goals, steps, keyboard, keys, state.key_qpos[0, keys], silent)
 
 
@@ -107,47 +108,53 @@ def roll_out(
     cost_steps: int | None = None,
     cutoff: float = np.inf,
     cost_to_go: Array | None = None,
-    begun: Rollout | None = None,
+    previous: Rollout | None = None,
     first: int = 0,
-    kept: Sequence[int] = (),
+    snapshots: Sequence[int] = (),
 ) -> Rollout:
-    """Simulate controls (H, A), whose rows may depend on the state that was reached.
+    """Simulate controls (H, A), whose rows may depend on the state reached so far.
 
-    The first `cost_steps` count in the cost and the mistakes, all by default. With `cost_to_go`
-    (H,), which is expected after each step, a rollout that is to cost `cutoff` is given up, as soon
-    as it is evaluated. A rollout that has `begun` as another one takes over its steps before the
-    `first` of its own, to which `ctrl` then belongs; see `HandRollouts.run`.
+    Args:
+        simulator: the simulation of a hand, in its state before the first step.
+        horizon: the cost of the steps.
+        ctrl: the controls, from the step `first` on.
+        cost_steps: the number of steps that count in the cost and the mistakes, all by default.
+        cutoff: the cost at which the rollout is given up.
+        cost_to_go: (H,) expected costs after each step; without them, it is never given up.
+        previous: a rollout with the same controls before the step `first`, whose steps are reused.
+        first: the first step to simulate.
+        snapshots: steps at which a later rollout may begin, see `HandRollouts.run`.
     """
-    so_far = Rollout(0.0, 0, [], [], [], [], [], []) if begun is None else begun.until(first)
+    result = Rollout(0.0, 0, [], [], [], [], [], []) if previous is None else previous.until(first)
     cost_steps = horizon.num_steps if cost_steps is None else cost_steps
     ctrl, given_up = islice(ctrl, horizon.num_steps - first), False
-    for step, (key_path, fingertips) in enumerate(simulator.run(ctrl, first, kept), first):
-        so_far.fingertips.append(fingertips)
-        so_far.hand_qpos.append(simulator.hand_joints()[0].copy())
-        so_far.key_paths.append(key_path)
-        so_far.key_qvel.append(simulator.key_qvel().copy())
-        if cost_to_go is not None and (step + 1) % _EVALUATED == 0:
-            _evaluate(so_far, horizon, cost_steps)
-            if given_up := bool(so_far.totals[-1][0] + cost_to_go[step] >= cutoff):
+    for step, (key_path, fingertips) in enumerate(simulator.run(ctrl, first, snapshots), first):
+        result.fingertips.append(fingertips)
+        result.hand_qpos.append(simulator.hand_joints()[0].copy())
+        result.key_paths.append(key_path)
+        result.key_qvel.append(simulator.key_qvel().copy())
+        if cost_to_go is not None and (step + 1) % _BATCH == 0:
+            _evaluate(result, horizon, cost_steps)
+            if given_up := bool(result.totals[-1][0] + cost_to_go[step] >= cutoff):
                 break
-    _evaluate(so_far, horizon, cost_steps)
-    cost, mistakes, _ = so_far.totals[-1]
+    _evaluate(result, horizon, cost_steps)
+    cost, mistakes, _ = result.totals[-1]
     useless = given_up or simulator.unstable()
-    return so_far._replace(cost=np.inf if useless else cost, mistakes=mistakes)
+    return result._replace(cost=np.inf if useless else cost, mistakes=mistakes)
 
 
 def _evaluate(rollout: Rollout, horizon: Cost[Keys], cost_steps: int) -> None:
-    """Add what the last steps of a rollout cost, as far as they are among its `cost_steps`."""
+    """Evaluate the new steps of a rollout; those before `cost_steps` count in its cost."""
     first = len(rollout.totals)
     if first == len(rollout.key_paths):
         return
     cost, mistakes, before = rollout.totals[-1] if first else (0.0, 0, horizon.start)
     paths, fingertips = np.array(rollout.key_paths[first:]), np.array(rollout.fingertips[first:])
     costs = horizon.costs(first, paths, fingertips, before)
-    for step, (more, wrong, keys) in enumerate(costs, first):
+    for step, (step_cost, step_mistakes, keys) in enumerate(costs, first):
         if step < cost_steps:
-            cost, mistakes = cost + more, mistakes + wrong
-        rollout.step_costs.append(more)
+            cost, mistakes = cost + step_cost, mistakes + step_mistakes
+        rollout.step_costs.append(step_cost)
         rollout.totals.append((cost, mistakes, keys))
 
 
@@ -159,18 +166,18 @@ class Rollouts:
     """
 
     def __init__(self, simulator: HandRollouts) -> None:
-        """Prepare rollouts, which begin with `start`."""
+        """Prepare rollouts; call `start` before them."""
         self._simulator, self.simulated = simulator, 0
 
     def start(self, horizon: Cost[Any]) -> None:
-        """Begin rollouts with this cost from the state that the simulator starts from."""
+        """Begin rollouts with this cost, from the start of the simulator."""
         self._horizon = horizon
         self._min_costs = np.full(horizon.num_steps, np.inf)
 
     def simulate(self, ctrl: Iterable[Array], cutoff: float = np.inf) -> Rollout:
-        """Simulate controls (H, A), unless they are likely to cost `cutoff` or more.
+        """Simulate controls (H, A).
 
-        The rollout is then given up before its end, at infinite cost.
+        The rollout is given up, at infinite cost, when it is likely to cost `cutoff` or more.
         """
         cost_to_go = None
         if cutoff < np.inf:
@@ -186,7 +193,7 @@ class Rollouts:
     def simulate_all(
         self, candidates: Iterable[Iterable[Array]], cutoff: float = np.inf
     ) -> list[Rollout]:
-        """Simulate candidates (N, H, A), and give up any that would cost more than the best."""
+        """Simulate candidates (N, H, A), and give up those that would cost more than the best."""
         rollouts = list[Rollout]()
         for ctrl in candidates:
             rollouts.append(self.simulate(ctrl, cutoff))
