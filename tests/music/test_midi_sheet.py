@@ -8,6 +8,8 @@ import pytest
 from cadenza.cli import main
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.formats.midi_sheet import write_midi_sheet
+from cadenza.music.formats.musicxml_writing import write_musicxml
+from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Bar, Note, PedalEvent, Score
 
 HALF_A_TICK = 0.6 / 31_920 / 2  # [s] at the slowest tempo
@@ -42,6 +44,25 @@ def test_a_song_keeps_its_metre_its_keys_and_its_tempos(tmp_path):
     assert [(at, each["key"]) for at, each in keys] == [(0.0, "Eb"), (2.0, "D")]
     again = read_midi(tmp_path / "song.mid")
     assert [bar.key for bar in again.bars] == [-3, -3, 2]
+
+
+def test_words_of_tempo_are_on_the_sheet_and_play_nothing(tmp_path):
+    said = {"Andante con moto": 0.0, "poco rit.": 1.0, "a tempo": 2.0}
+    words = (((time, text),) for text, time in said.items())
+    bars = (replace(bar, words=each) for bar, each in zip(BARS, words, strict=True))
+    song = replace(SONG, bars=tuple(bars))
+    write_midi_sheet(song, tmp_path / "song.mid")
+    file = mido.MidiFile(tmp_path / "song.mid")
+    credit = "Sonatina Allegro, sequenced by a pianist in 1999"
+    file.tracks[0].insert(1, mido.MetaMessage("text", text=credit))
+    file.tracks[0].insert(1, mido.MetaMessage("marker", text="Intro"))
+    file.save(tmp_path / "song.mid")
+    write_musicxml(song, tmp_path / "song.musicxml")
+    for name in ("song.mid", "song.musicxml"):
+        again = read_score(tmp_path / name)
+        words = {text: time for bar in again.bars for time, text in bar.words}
+        assert words == pytest.approx(said, abs=1e-3)
+        assert [n.start for n in again.notes] == pytest.approx([n.start for n in NOTES], abs=0.02)
 
 
 @pytest.mark.parametrize("later", [-0.7, -1e-10, 0.0, 0.3])

@@ -99,8 +99,9 @@ class Bar:
 
     Its beats begin at `beats` [s], the first of them with the bar; they are empty where the metre
     is unknown. Each is written as the part `1 / beat_type` of a whole note. `key` is the number of
-    sharps of its key signature, negative for flats, if that is known. Raises CadenzaError if a time
-    is not finite, or there is no such part of a whole note.
+    sharps of its key signature, negative for flats, if that is known. `words` of tempo in it, such
+    as "Andante" and "rit.", have their times [s]. Raises CadenzaError if a time is not finite, or
+    there is no such part of a whole note.
     """
 
     time: float
@@ -108,9 +109,10 @@ class Bar:
     beats: tuple[float, ...] = ()
     beat_type: int = 4
     key: int | None = None
+    words: tuple[tuple[float, str], ...] = ()
 
     def __post_init__(self) -> None:
-        if not all(map(isfinite, (self.time, *self.beats))):
+        if not all(map(isfinite, (self.time, *self.beats, *(time for time, _ in self.words)))):
             raise CadenzaError(f"bar at {self.time} s: give finite times")
         if self.beat_type not in BEAT_TYPES:
             raise CadenzaError(
@@ -119,7 +121,8 @@ class Bar:
 
     def moved(self, move: Callable[[float], float]) -> Bar:
         """The bar with `move` applied to all of its times [s]."""
-        return replace(self, time=move(self.time), beats=tuple(map(move, self.beats)))
+        words = tuple((move(time), text) for time, text in self.words)
+        return replace(self, time=move(self.time), beats=tuple(map(move, self.beats)), words=words)
 
     def transposed(self, semitones: int) -> Bar:
         """The bar with the key signature of music so much higher."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from cadenza.music.formats.midi_messages import (
     INSTRUMENTS,
     KEY,
     LONGEST,
+    MARKER,
     METRE,
     NAME,
     NOTE_ON,
@@ -42,6 +43,7 @@ from cadenza.music.score import (
     Track,
     check_chosen,
 )
+from cadenza.music.signs.tempo_map import is_of_tempo
 from cadenza.music.written_hands import names_only_a_part
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
@@ -267,7 +269,7 @@ def _tracks(parts: Sequence[Part]) -> tuple[Track, ...]:
 def _bars(
     division: int, tracks: Sequence[Iterable[Message]], clock: _Clock, until: float
 ) -> tuple[Bar, ...]:
-    """The bars from the first time signature to the time `until` [s], with key signatures.
+    """The bars from the first time signature to the time `until` [s], with keys and words of tempo.
 
     A time signature begins a new bar. There are no bars in SMPTE frames, which have no beats.
     """
@@ -277,7 +279,7 @@ def _bars(
             if kind == METRE and 1 << data[1] in BEAT_TYPES:
                 metres[tick] = data[0], 1 << data[1]
     bars: list[Bar] = []
-    keys = _keys(tracks)
+    keys, words = _keys(tracks), _words(tracks)
     beats = 0
     begins = sorted(tick for tick, (numerator, _) in metres.items() if numerator > 0)
     for first, end in pairwise([*begins, sys.maxsize]):
@@ -293,7 +295,10 @@ def _bars(
                 return ()
             known = bisect_right(keys, ticks[0], key=itemgetter(0))
             key = keys[known - 1][1] if known else None
-            bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator, key))
+            after = min(end, first + (n + numerator) * four // 4)
+            said = words[bisect_left(words, (ticks[0], "")) : bisect_left(words, (after, ""))]
+            timed = tuple((clock.seconds(clock.at(tick)), text) for tick, text in said)
+            bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator, key, timed))
     return tuple(bars)
 
 
@@ -303,6 +308,13 @@ def _keys(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, int]]:
     keys = [(each.tick, int.from_bytes(each.data[:1], signed=True)) for each in said]
     known = sorted((each for each in keys if abs(each[1]) <= MAX_SIGNS), key=itemgetter(0))
     return known if any(key for _, key in known) else []
+
+
+def _words(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, str]]:
+    """The words of tempo among texts and markers, by ticks."""
+    said = (each for track in tracks for each in track if each.kind in (TEXT, MARKER))
+    texts = {(each.tick, _text(each.data)) for each in said}
+    return sorted(each for each in texts if is_of_tempo(each[1]))
 
 
 def _text(written: bytes) -> str:

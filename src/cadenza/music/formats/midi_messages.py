@@ -49,9 +49,10 @@ INSTRUMENTS = tuple(" ".join(name.split()) for name in _NAMES.split(","))
 LONGEST = 2**28 - 1  # the most ticks from one event to the next that the format can say
 NOTE_OFF, NOTE_ON, CONTROL, PROGRAM, WHEEL = 0x8, 0x9, 0xB, 0xC, 0xE
 """The kinds of messages to channels: the upper halves of their status bytes."""
-SYSEX, TEXT, NAME, PORT, END, TEMPO, METRE, KEY = 0xF0, 0x01, 0x03, 0x21, 0x2F, 0x51, 0x58, 0x59
+SYSEX, TEXT, NAME, MARKER, PORT, END = 0xF0, 0x01, 0x03, 0x06, 0x21, 0x2F
+TEMPO, METRE, KEY = 0x51, 0x58, 0x59
 """The kinds of messages to a synthesizer, and of those to a player."""
-_MIN_BYTES = {**dict.fromkeys((TEXT, NAME, PORT, END, KEY), 0), TEMPO: 3, METRE: 4}
+_MIN_BYTES = {**dict.fromkeys((TEXT, NAME, MARKER, PORT, END, KEY), 0), TEMPO: 3, METRE: 4}
 """Bytes that messages to a player have at least."""
 _TRACK = b"MTrk"
 _META, _SYSEX_GOES_ON, _SYSTEM, _TO_CHANNELS = 0xFF, 0xF7, 0xF0, 0x80  # status bytes

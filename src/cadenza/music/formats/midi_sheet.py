@@ -1,4 +1,4 @@
-"""Sheet music as a Standard MIDI file, with its metre, its keys and its tempos."""
+"""Sheet music as a Standard MIDI file, with its metre, its keys, its tempos and their words."""
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +23,7 @@ _KEYS = [step + sign for sign in ("b", "", "#") for step in "FCGDAEB"][1:]  # fr
 
 
 def write_midi_sheet(score: Score, path: Path) -> None:
-    """Write a score with its metre, its keys and its tempos as a MIDI file of format 1.
+    """Write a score with metre, keys, tempos and words of tempo as a MIDI file of format 1.
 
     Bars are those of `metre_of`; the first begins where the song has begun. Read back, times are
     the same to half a tick, of which a quarter has 31,920. A score that has no bars, or is too
@@ -53,6 +53,8 @@ def write_midi_sheet(score: Score, path: Path) -> None:
         return
     signs = [(tick, mido.MetaMessage("set_tempo", tempo=us)) for tick, us in tempos]
     signs += _signs(measure for measure in metre.measures if _FINER * measure.start >= origin)
+    said = ((ticks(time), text) for bar in score.bars for time, text in bar.words)
+    signs += [(origin + at, mido.MetaMessage("text", text=text)) for at, text in said if at >= 0]
     file = mido.MidiFile(type=1, ticks_per_beat=_TICKS, charset="utf-8")
     file.tracks.append(mido.MidiTrack(title_messages(score)))
     now = 0

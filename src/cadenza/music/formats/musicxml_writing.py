@@ -321,14 +321,23 @@ def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]
         direction, sign = _direction("dynamics", RIGHT, "below")
         SubElement(sign, here.dynamic)
         yield here.measure.start, direction
-    yield from ((tempo.tick, _tempo(tempo, here)) for tempo in here.tempos)
+    for tempo in here.tempos:
+        yield tempo.tick, _tempo(tempo, here)
+        if tempo.words:
+            direction, words = _direction("words", RIGHT, "above")
+            words.text = tempo.words
+            direction.append(_sound(tempo))  # for readers that would play the words, too
+            yield tempo.tick, direction
+
+
+def _sound(tempo: TempoMark) -> Element:
+    return Element("sound", tempo=f"{_MINUTE / tempo.seconds:.4f}")
 
 
 def _tempo(tempo: TempoMark, here: WrittenMeasure) -> Element:
-    per_minute = _MINUTE / tempo.seconds
-    sound = Element("sound", tempo=f"{per_minute:.4f}")
     if not tempo.shown:
-        return sound
+        return _sound(tempo)
+    per_minute = _MINUTE / tempo.seconds
     direction, mark = _direction("metronome", RIGHT, "above")
     is_cut = here.measure.written[1] == _HALF
     _text(mark, "beat-unit", "half" if is_cut else "quarter")
@@ -338,7 +347,7 @@ def _tempo(tempo: TempoMark, here: WrittenMeasure) -> Element:
         SubElement(mark, "beat-unit-dot")
         per_minute /= _DOTTED
     _text(mark, "per-minute", round(per_minute))
-    direction.append(sound)
+    direction.append(_sound(tempo))
     return direction
 
 

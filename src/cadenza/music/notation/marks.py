@@ -1,6 +1,6 @@
 """Marks on a sheet: clefs, tempos, dynamics and the pedal."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from cadenza.music.formats.musicxml.marks import VELOCITIES
 from cadenza.music.notation.metre import QUARTER, Metre
-from cadenza.music.score import PEDAL_DOWN, PedalEvent
+from cadenza.music.score import PEDAL_DOWN, Bar, PedalEvent
 from cadenza.music.viterbi import cheapest_sequence
 
 TREBLE, BASS = "G", "F"
@@ -25,15 +25,16 @@ _FASTEST = 1e-3  # [s] of a quarter
 _SHOWN = 0.12  # relative change of tempo of two measures that is shown
 _LOUDER = 12  # change of the median velocity of two measures that has a mark
 _MUCH_LOUDER = 24  # change of that of a single measure that has one
-_PEDAL_PARTS = 4  # of a cell, on which pedal marks stand
+_PARTS = 4  # of a cell, on which words and marks of the pedal stand
 
 
 class TempoMark(NamedTuple):
-    """A quarter lasts `seconds` [s] from `tick` on; the tempo may be `shown` as a mark."""
+    """A quarter lasts `seconds` [s] from `tick` on; `words` and the tempo may be `shown` there."""
 
     tick: int
     seconds: float
     shown: bool
+    words: str = ""
 
 
 class PedalMark(NamedTuple):
@@ -73,13 +74,13 @@ def octaves(pitches: Sequence[Sequence[int]], clefs: Sequence[str]) -> list[int]
     return shifts
 
 
-def tempos(metre: Metre) -> list[TempoMark]:
+def tempos(metre: Metre, bars: Iterable[Bar] = ()) -> list[TempoMark]:
     """The tempos from which the times of all cells follow to 0.01 s.
 
     Each holds as long as it can, which the swing filter finds (Elmeleegy et al. 2009, Online
     Piece-wise Linear Approximation of Numerical Streams with Precision Guarantees). Shown are the
     first, and those of measures that are clearly faster or slower for longer than a measure: from
-    where they clearly are, if they become so by degrees.
+    where they clearly are, if they become so by degrees. Words are those of the `bars`.
     """
     changes = _changes((metre.ticks / QUARTER).tolist(), metre.times.tolist())
     seconds_at = {int(metre.ticks[cell]): seconds for cell, seconds in changes.items()}
@@ -87,13 +88,15 @@ def tempos(metre: Metre) -> list[TempoMark]:
     marks = []
     seconds = latest = 0.0
     is_due = False
-    for tick in sorted({*seconds_at, *due}):
+    said = [each for bar in bars for each in bar.words if each[0] < metre.times[-1]]
+    words = {_tick_near(metre, max(time, float(metre.times[0]))): text for time, text in said}
+    for tick in sorted({*seconds_at, *due, *words}):
         seconds = seconds_at.get(tick, seconds)
         is_due |= tick in due
         is_shown = is_due and (not latest or abs(np.log(seconds / latest)) > _SHOWN)
         if is_shown:
             latest, is_due = seconds, False
-        marks.append(TempoMark(tick, seconds, is_shown))
+        marks.append(TempoMark(tick, seconds, is_shown, words.get(tick, "")))
     return marks
 
 
@@ -162,23 +165,27 @@ def _is_change(here: float, following: float) -> bool:
     return here * following > 0 and min(abs(here), abs(following)) > _LOUDER
 
 
+def _tick_near(metre: Metre, time: float) -> int:
+    """The tick of the quarter of a cell that is nearest to a time [s]."""
+    at, ticks = float(metre.place([time])[0]), metre.ticks
+    cell = min(int(np.searchsorted(ticks, at, "right")) - 1, len(ticks) - 2)
+    part = int(ticks[cell + 1] - ticks[cell]) // _PARTS
+    return int(ticks[cell]) + round((at - int(ticks[cell])) / part) * part
+
+
 def pedal_marks(events: Sequence[PedalEvent], metre: Metre) -> list[PedalMark]:
     """The marks at which the pedal goes down and up by turns, on quarters of cells."""
     marks: list[PedalMark] = []
-    ticks = metre.ticks
     for event in events:
         is_down = event.value >= PEDAL_DOWN
         if is_down == bool(marks and marks[-1].is_down):
             continue
-        at = float(metre.place([event.time])[0])
-        cell = min(int(np.searchsorted(ticks, at, "right")) - 1, len(ticks) - 2)
-        part = int(ticks[cell + 1] - ticks[cell]) // _PEDAL_PARTS
-        tick = int(ticks[cell]) + round((at - int(ticks[cell])) / part) * part
+        tick = _tick_near(metre, event.time)
         if not is_down and marks[-1].tick == tick:
             marks.pop()
         else:
             marks.append(PedalMark(tick, is_down))
     if marks and marks[-1].is_down:
-        last = PedalMark(int(ticks[-1]), False)
+        last = PedalMark(int(metre.ticks[-1]), False)
         marks = [*marks[:-1]] if marks[-1].tick == last.tick else [*marks, last]
     return marks

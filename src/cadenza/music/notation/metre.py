@@ -186,14 +186,14 @@ def _metre(bars: list[_TimedBar]) -> Metre:
 def _with_parts(measures: list[Measure]) -> list[Measure]:
     """The measures with those marked that are parts: a pickup, or two that make a whole one.
 
-    A short first measure is a pickup if it has the number 0, or at most half the length of the
-    measures after it; else it has a metre of its own.
+    A short first measure is a pickup if it has the number 0, or at most half the length of the next
+    and of a later one; else it has a metre of its own.
     """
     marked = list(measures)
     if len(marked) > 1 and marked[0].length < marked[1].length:
-        is_steady = marked[1].length == marked[:3][-1].length
-        is_half = 2 * marked[0].length <= marked[1].length
-        if marked[0].number == 0 or (is_half and is_steady):
+        lengths = [measure.length for measure in marked]
+        is_usual = lengths[1] in lengths[2:] or len(lengths) == 2  # nothing is usual
+        if marked[0].number == 0 or (is_usual and 2 * lengths[0] <= lengths[1]):
             marked[0] = _pickup(marked[0], marked[1].written)
     for i in range(1, len(marked) - 1):
         before, here, after = marked[i - 1 : i + 2]

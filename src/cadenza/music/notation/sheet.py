@@ -118,7 +118,7 @@ def sheet_of(score: Score) -> Sheet:
         _staves(streams[hand], _USUAL_CLEF[hand], metre, divisions, names) for hand in (RIGHT, LEFT)
     ]
     marks = dynamics(_by_measure(begins, every, "velocity"))
-    of_tempo = _grouped(begins, tempos(metre))
+    of_tempo = _grouped(begins, tempos(metre, score.bars))
     of_pedal = _grouped(begins, pedal_marks(score.pedal, metre))
     lines = [*begins, metre.measures[-1].end]
     times = np.interp(lines, metre.ticks, metre.times).tolist()

@@ -371,6 +371,7 @@ _USUAL_TEMPOS = {
     "presto": 187,
     "prestissimo": 200,
 }
+_MAX_WORDS = 40  # letters of words of tempo; titles and credits may have more
 AS_USUAL = "played as usual, as the file gives no tempo"  # what is done with such words
 _LOUDER = r"(cresc|rinforzando|dal niente)"
 _SOFTER = r"(decresc|dim\b|dimin|calando|morendo|smorz|perdendosi|al niente)"
@@ -389,6 +390,12 @@ def usual_tempo(text: str) -> float | None:
         return None
     tempos = _USUAL_TEMPOS.items()
     return next((tempo for word, tempo in tempos if _has(text, rf"{word}\b")), None)
+
+
+def is_of_tempo(text: str) -> bool:
+    """Whether words are few and say how fast the music goes, as "Allegro" and "poco rit." do."""
+    is_short = 0 < len(text) <= _MAX_WORDS
+    return is_short and (tempo_change(text) is not None or usual_tempo(text) is not None)
 
 
 def loudness_step(text: str) -> int | None:

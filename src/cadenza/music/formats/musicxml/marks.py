@@ -19,6 +19,7 @@ from cadenza.music.formats.musicxml.timeline import (
     number,
     number_or_none,
 )
+from cadenza.music.formats.source import printable
 from cadenza.music.score import LOUDEST
 from cadenza.music.signs import CHORALE_FERMATA, FERMATA, LONG_FERMATA, SHORT_FERMATA
 from cadenza.music.signs.loudness import Dynamic, Hairpin, Loudness, Sforzato, within_midi
@@ -30,6 +31,7 @@ from cadenza.music.signs.tempo_map import (
     Tempo,
     TempoMark,
     TempoWord,
+    is_of_tempo,
     loudness_step,
     swing,
     tempo_change,
@@ -262,8 +264,9 @@ class TempoMarks:
 
     A metronome mark counts where there is no tempo for playback. `marks` and `swings` have their
     places in quarters. Without a tempo of either kind, words such as "Andante" have their usual
-    ones. Added to `counts` are those "usual" ones, tempos for playback that are "impossible", and
-    metronome marks that are "unclear", as they give none. `begins` is as `timeline` returns it.
+    ones. `words` are those of tempo, by quarters. Added to `counts` are those "usual" ones, tempos
+    for playback that are "impossible", and metronome marks that are "unclear", as they give none.
+    `begins` is as `timeline` returns it.
     """
 
     def __init__(
@@ -274,6 +277,7 @@ class TempoMarks:
     ) -> None:
         self.marks: list[TempoMark] = []
         self.swings: list[Swing] = []
+        self.words: dict[Fraction, str] = {}
         self._begins, self._counts = begins, counts
         self._for_playback: dict[Fraction, Fraction] = {}  # quarters a minute
         self._metronome: dict[Fraction, Fraction] = {}
@@ -331,6 +335,9 @@ class TempoMarks:
                 shares = (int(number(sign.findtext(tag))) for tag in ("first", "second"))
                 first, second = (min(max(each, 1), _MAX_SWING) for each in shares)
                 self._swing(placed, first, second, unit)
+        every = [words.text or "" for words in element.iterfind("direction-type/words")]
+        if is_of_tempo(said := printable(" ".join(every))):
+            self.words[placed.quarter] = said
         for words in placed.element.iterfind("direction-type/words"):
             text = words.text or ""
             if not tempos and (change := tempo_change(text)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from operator import itemgetter
@@ -100,7 +100,10 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     )
     pedal = _timed(merged_pedal(sorted(pedals, key=itemgetter(0))), tempo)
     moves = (PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
-    timed = (bar.moved(lambda time: time - begin) for bar in _bars(sheet.passages, tempo))
+    timed = (
+        bar.moved(lambda time: time - begin)
+        for bar in _bars(sheet.passages, tempo, tempo_marks.words)
+    )
     title, composer = _said(root, _TITLES) or title, _said(root, _COMPOSERS)
     return Score(played, tuple(moves), title, remarks, listed, tuple(timed), composer)
 
@@ -160,13 +163,20 @@ def _hold(notes: Iterable[RawNote], moves: Sequence[tuple[float, int]]) -> None:
             note.end = max(note.end, up[end] if end < len(up) else note.end)
 
 
-def _bars(passages: Iterable[Passage], tempo: TempoMap) -> Iterator[Bar]:
-    """Yield the bars as they are played, in seconds."""
+def _bars(
+    passages: Iterable[Passage], tempo: TempoMap, words: Mapping[Fraction, str]
+) -> Iterator[Bar]:
+    """Yield the bars as they are played, in seconds, with `words` of tempo by quarters."""
+    places_of_words = sorted(words)
     for passage in passages:
         bar, later = passage.bar, passage.later
-        places = [place + later for place in (bar.begin, *bar.beats)]
-        begin, *beats = np.round(tempo.onsets(places), _DECIMALS).tolist()
-        yield Bar(begin, bar.number, tuple(beats), bar.beat_type, bar.key)
+        said = slice(bisect_left(places_of_words, bar.begin), bisect_left(places_of_words, bar.end))
+        texts = [words[place] for place in places_of_words[said]]
+        places = [place + later for place in (bar.begin, *bar.beats, *places_of_words[said])]
+        begin, *others = np.round(tempo.onsets(places), _DECIMALS).tolist()
+        beats, times = others[: len(bar.beats)], others[len(bar.beats) :]
+        timed = tuple(zip(times, texts, strict=True))
+        yield Bar(begin, bar.number, tuple(beats), bar.beat_type, bar.key, timed)
 
 
 @dataclass(frozen=True, slots=True)
