@@ -1,4 +1,4 @@
-"""Playback of actions that were recorded or planned before, and the files that keep them."""
+"""Playback of recorded or planned actions, and their files."""
 
 import warnings
 from collections.abc import Mapping
@@ -38,10 +38,10 @@ from cadenza.tasks.view import View
 T = TypeVar("T")
 
 PHYSICS = "physics", "sleeping_keys"
-"""Options of the scene that a plan brings along.
+"""Options of the scene that a plan determines.
 
-A plan is played in the physics it was made in, since a micrometre can decide whether a finger
-catches on a key.
+A plan is played in the physics in which it was made, since a micrometre can decide whether a finger
+is caught on a key.
 """
 _ACTION = {"action": ArrayOf(NUMBERS, ("steps", "actions"), needed=True, finite=True)}
 _RECORDING = _ACTION | {"physics": ArrayOf(TEXT), "sleeping_keys": ArrayOf(FLAGS)}
@@ -57,7 +57,7 @@ _MAX_BYTES = 2**31  # an hour of practice of both whole hands at 200 steps a sec
 
 
 class Playback(Agent):
-    """An agent that plays `plan` (T, A), actions in actuator units, wherever the hands are."""
+    """An agent that plays `plan` (T, A), actions in actuator units, without feedback."""
 
     def __init__(self, plan: Array) -> None:
         self._plan = plan
@@ -65,7 +65,8 @@ class Playback(Agent):
     def act(self, view: View) -> Array:
         """Actions (N, A) of the plan for the steps of all environments.
 
-        Raises CadenzaError if the plan is not as wide as the actions or not as long as an episode.
+        Raises CadenzaError if the plan has another width than the actions, or another length than
+        the episode.
         """
         steps, width = self._plan.shape
         check_planned_for(view, steps, width)
@@ -79,7 +80,7 @@ class _PlanHeader:
     song: str
     dt: float  # control step [s]
     metrics: dict[str, Any]
-    # Options that have to be the same for the plan to play the same, and `PHYSICS`
+    # Options on which the result of the plan depends, and `PHYSICS`
     options: dict[str, Any]
     score: WrittenScore | None = None  # the song of a practised plan
 
@@ -90,27 +91,27 @@ class SavedPlan:
 
     path: Path
     actions: Array  # (T, A) the actions in actuator units, the pedal last
-    # Options that it was made with, as far as it says; see `task_identity`
+    # Options in the file with which the plan was made, see `task_identity`
     options: dict[str, Any] = field(default_factory=dict)
     practised: PractisedPlan | None = None
     score: Score | None = None  # the song, if it was practised
 
     @property
     def physics(self) -> dict[str, Any]:
-        """Fields of `SceneConfig` that say in which physics the plan was made.
+        """Fields of `SceneConfig` of the physics in which the plan was made.
 
-        Recordings of the published system do not say; there, keys never sleep.
+        Recordings of the published system have none; there, keys never sleep.
         """
         return {name: self.options[name] for name in PHYSICS if name in self.options}
 
     def config(self, kind: type[T]) -> T:
         """Options of a kind, such as `TaskConfig`, of the plan; raises CadenzaError if damaged."""
-        names = {each.name for each in fields(cast(Any, kind))}
-        given = {name: value for name, value in self.options.items() if name in names}
-        return checked(given, kind, f"{self.path}, options")
+        names = {option.name for option in fields(cast(Any, kind))}
+        options = {name: value for name, value in self.options.items() if name in names}
+        return checked(options, kind, f"{self.path}, options")
 
     def check(self, options: Mapping[str, Any]) -> None:
-        """Compare `options` but physics with the plan's; raises CadenzaError if they differ."""
+        """Compare `options` with the plan's; raises CadenzaError if any but physics differ."""
         for name in self.options.keys() - set(PHYSICS):
             value = self.options[name]
             if name not in options:
@@ -123,11 +124,13 @@ class SavedPlan:
                     f"{self.path}: was planned with {name} {quoted(value)}, but here it is "
                     f"{quoted(options[name])}; use the same value"
                 )
-        made_in = self.physics.get("physics", SceneConfig.physics)
-        if made_in != options["physics"]:
-            made = f"{self.path}: made in the {made_in} physics"
-            played = f"{made}, played in the {options['physics']} physics"
-            warnings.warn(played, CadenzaWarning, stacklevel=5)
+        physics = self.physics.get("physics", SceneConfig.physics)
+        if physics != options["physics"]:
+            message = (
+                f"{self.path}: made in the {physics} physics, "
+                f"played in the {options['physics']} physics"
+            )
+            warnings.warn(message, CadenzaWarning, stacklevel=5)
 
 
 def save_plan(
@@ -139,13 +142,12 @@ def save_plan(
     hands: Fingers,
     practised: PractisedPlan | None = None,
 ) -> None:
-    """Write what `load_plan` reads, and metrics, as a .safetensors file.
+    """Write a plan as a .safetensors file, for `load_plan`.
 
-    Arrays: action (T, A) as in an episode; fingering (N, 3), of each note of the song start [s],
-    MIDI pitch and finger, -1 for none, by the numbers that fingers of these `hands` have in the
-    episode's arrays. Of a practised plan also gain and expected, see `Tracking`, and later, the
-    release delays of a `Variant`. In the header: song, dt, metrics, options, and the score of a
-    practised plan.
+    The arrays are action (T, A) as in an episode, and fingering (N, 3): start [s], MIDI pitch and
+    finger of each note of the song, as numbered in the episode's arrays, -1 for none. A practised
+    plan also has gain and expected, see `Tracking`, and later, the release delays of a `Variant`.
+    The header has song, dt, metrics, options, and the score of a practised plan.
     """
     notes = [(note.start, note.pitch, hands.number(note.finger)) for note in fingered.notes]
     arrays = {"action": episode["action"], "fingering": np.array(notes, np.float64).reshape(-1, 3)}
@@ -154,41 +156,42 @@ def save_plan(
         (_, gain, expected), variant = practised
         arrays |= {"gain": gain, "expected": expected, "later": variant.release_delays}
         score = WrittenScore.of(fingered)
-    facts = _PlanHeader(episode.song, episode.dt, dict(metrics), dict(options), score)
-    write_tensors(path, arrays, asdict(facts))
+    header = _PlanHeader(episode.song, episode.dt, dict(metrics), dict(options), score)
+    write_tensors(path, arrays, asdict(header))
 
 
 def load_plan(path: Path) -> SavedPlan:
     """Read a plan, or the array `action` (T, A) of a recorded episode, an .npz file.
 
-    Raises CadenzaError if the file is not there, or holds something else.
+    Raises CadenzaError if the file is missing, or holds something else.
     """
     if path.suffix != TENSORS:
-        return _recorded(path)
-    arrays, about = read_tensors(path, PLAN, _MAX_BYTES)
-    facts = checked(about, _PlanHeader, f"{path}, header")
+        return _load_recording(path)
+    arrays, fields_of_header = read_tensors(path, PLAN, _MAX_BYTES)
+    header = checked(fields_of_header, _PlanHeader, f"{path}, header")
     actions = arrays["action"].astype(np.float64)
-    practised = _practised(arrays, actions, path) if arrays.keys() >= _PRACTISED.keys() else None
+    is_practised = arrays.keys() >= _PRACTISED.keys()
+    practised = _practised_plan(arrays, actions, path) if is_practised else None
     try:
-        score = None if facts.score is None else facts.score.score
+        score = None if header.score is None else header.score.score
     except CadenzaError as error:
         raise CadenzaError(f"{path}, score: {error}; use another copy") from error
-    saved = SavedPlan(path, actions, facts.options, practised, score)
+    plan = SavedPlan(path, actions, header.options, practised, score)
     for kind in TaskConfig, SceneConfig, Arrangement:
-        saved.config(kind)
-    return saved
+        plan.config(kind)
+    return plan
 
 
-def _recorded(path: Path) -> SavedPlan:
+def _load_recording(path: Path) -> SavedPlan:
     arrays = read_arrays(path, _RECORDING, _MAX_BYTES)
     options = {name: arrays[name].item() for name in PHYSICS if name in arrays}
     options.setdefault("sleeping_keys", False)
-    saved = SavedPlan(path, arrays["action"].astype(np.float64), options)
-    saved.config(SceneConfig)
-    return saved
+    plan = SavedPlan(path, arrays["action"].astype(np.float64), options)
+    plan.config(SceneConfig)
+    return plan
 
 
-def _practised(arrays: Mapping[str, Any], actions: Array, path: Path) -> PractisedPlan:
+def _practised_plan(arrays: Mapping[str, Any], actions: Array, path: Path) -> PractisedPlan:
     ctrl, expected = actions[:, :-1], arrays["expected"]
     if expected.shape[:2] != (len(ctrl) + 1, ctrl.shape[1]):
         raise CadenzaError(f"{path}: does not fit together; it is damaged, use another copy")

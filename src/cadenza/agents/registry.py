@@ -74,7 +74,7 @@ AGENTS = Registry(
 
 
 def is_folder(agent: str) -> bool:
-    """Whether an agent is named by the folder of a policy or of practice, or lies on the hub."""
+    """Whether an agent is a folder, of a policy or of practice, here or on the hub."""
     return agent not in AGENTS.own and (os.path.isdir(agent) or is_on_hub(agent))
 
 
@@ -107,8 +107,8 @@ def agent_options(name: str) -> type | None:
     It is the type of the parameter `config` of the agent's class. Raises CadenzaError if there is
     no such agent, or a field of its options is of no allowed type.
     """
-    if (own := AGENTS.own.get(name)) is not None:
-        return own.config
+    if (entry := AGENTS.own.get(name)) is not None:
+        return entry.config
     kind: Any = AGENTS.load(name, type)
     with by_others(f"agent {name}"):
         if "config" not in inspect.signature(kind).parameters:

@@ -34,7 +34,7 @@ class EpisodeResult:
     `cadenza.music.metrics.expressive_metrics`, None if not defined; `return` and
     ``reward/<term>`` summed over the episode; `rewarded_fingers`, see `GoalTrack`; `steps`,
     `planning_seconds` spent by the agent, from its reset on, `playing_seconds` by the simulation,
-    and whether the simulation became `unstable`; `combined`, if each hand played alone."""
+    and whether the simulation became `unstable`; `combined`, true if each hand played alone."""
     plan: SongPlan | None
     """The plan that the agent followed, see `Agent.song_plan`."""
 
@@ -100,7 +100,7 @@ def play_episodes(
         started = time.perf_counter()
         with by_others(f"agent {name}: act()"):
             action = np.asarray(agent.act(view), np.float64)
-        decided = time.perf_counter()
+        acted = time.perf_counter()
         _check_action(action, view, name)
         moving = np.flatnonzero(view.playing).tolist()
         transition = task.step(action, None if view.playing.all() else moving)
@@ -108,8 +108,8 @@ def play_episodes(
         view = task.view(view.playing & ~(transition.terminated | transition.truncated))
         for env in moving:
             recorder = recorders[env]
-            recorder.planning_seconds += (decided - started) / len(moving)
-            recorder.playing_seconds += (stepped - decided) / len(moving)
+            recorder.planning_seconds += (acted - started) / len(moving)
+            recorder.playing_seconds += (stepped - acted) / len(moving)
             recorder.add(action[env], transition, view.observation[env])
         progress("playing", int(view.steps.sum()), int(view.num_steps.sum()))
         if stop():

@@ -1,1 +1,1 @@
-"""Practice with a robot that nobody knows, real or simulated."""
+"""Practice with a robot of unknown parameters, real or simulated."""

@@ -1,7 +1,7 @@
-"""The generalist on a robot that nobody knows, in closed loop: each play tells how servos respond.
+"""The generalist in closed loop on a robot of unknown parameters.
 
-It plans for a model whose servos lag as those of the robot do, as far as is known, and is as early
-as the robot is late.
+Each play serves to identify the response of its servos. The generalist then plans for a model with
+this response, and acts early by the delay of the robot.
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ class ClosedLoop:
     """Plays of one song by the generalist on one robot.
 
     Attributes:
-        response: how servos respond, as far as it is known.
-        sensors_late: for how long what is measured is on its way [s].
+        response: the response of the servos, as identified so far.
+        sensors_late: the delay of the sensors [s].
     """
 
-    def __init__(self, view: View, known: DomainRandomization) -> None:
-        """Take a view before the first step on the nominal robot, and how robots are drawn."""
+    def __init__(self, view: View, ranges: DomainRandomization) -> None:
+        """Take a view before the first step on the nominal robot, and the ranges of robots."""
         (track,) = view.tracks
         self._view, self._track = view, track.with_found_fingers()
         self._scene, self._start = planning_scene(track), view.state.hand_qpos[0]
         self._dt, self._servos = track.config.control_timestep, servos_of(self._scene)
-        self.response, self._known = usual_response(self._servos, self._dt, known), known
+        self.response, self._ranges = usual_response(self._servos, self._dt, ranges), ranges
         self._usual = self.response.fastest
-        self.sensors_late = sum(known.observation_latency) / 2
+        self.sensors_late = sum(ranges.observation_latency) / 2
         self._plays = list[tuple[Array, Array]]()
 
     @staticmethod
     def knows(view: View) -> bool:
-        """Whether the generalist knows the hands at this piano, and has time to be early."""
+        """Whether the generalist knows these hands, and has time to act early."""
         (track,) = view.tracks
         scene = planning_scene(track)
         return knows_hands(scene) and scene.config.hands != "apart" and track.silent_steps > 0
 
     def acting(self, response: Response) -> Act:
-        """How to act in a play on a robot whose servos have this lag.
+        """A policy for a play on a robot with this response.
 
-        It is as early as is usual, whatever the delay: strikes then begin in the midst of a control
-        step, from which they may be off to either side.
+        It acts early by the usual delay, whatever that of the robot. Strikes then begin in the
+        middle of a control step, from which they may be off to either side.
         """
-        late = Lateness.expected(self._known) or Lateness(0.0, 0.0, (0.0, 0.0, 0.0))
+        late = Lateness.expected(self._ranges) or Lateness(0.0, 0.0, (0.0, 0.0, 0.0))
         scene = with_servo_damping(self._scene, response.damping)
         view = replace(self._view, tracks=(replace(self._track, scene=scene),))
         weights = shipped_for(scene)
@@ -69,25 +69,25 @@ class ClosedLoop:
             plans = song_plans(track, self._start, strikes=True, scene=scene)
             return SongPlanner(plans, lambda plan: [CorrectedHands(plan, weights)])
 
-        player, off = EarlyPlanner(view, late, begin), np.zeros_like(self._start)
+        player, offset = EarlyPlanner(view, late, begin), np.zeros_like(self._start)
         unmeasured = view.state._replace(
             hand_qvel=np.full_like(view.state.hand_qvel, np.nan),
             key_qpos=np.full_like(view.state.key_qpos, np.nan),
         )
 
         def act(step: int, joints: Array) -> Array:
-            nonlocal off
-            if not step:  # the hands begin where they are put
-                off = joints - self._start
-            state = unmeasured._replace(hand_qpos=(joints - off)[None])
+            nonlocal offset
+            if not step:  # the true start is known: what sensors show beside it is their offset
+                offset = joints - self._start
+            state = unmeasured._replace(hand_qpos=(joints - offset)[None])
             return player.act(replace(view, state=state, steps=np.array([step])))
 
         return act
 
     def learn(self, play: Play) -> tuple[float, float]:
-        """Find how servos respond, and return F1 and note onset F1 as heard.
+        """Identify the response of the servos, and return F1 and note onset F1 as heard.
 
-        It is the response that explains how joints have moved otherwise than in simulation.
+        The response explains how joints have moved differently from the simulation.
         """
         sent = play.actions[:, :-1] - self._start @ self._servos.of_joints
         measured = (play.joints[1:] - play.joints[0]) @ self._servos.of_joints
@@ -96,18 +96,18 @@ class ClosedLoop:
         setpoints = expected.limited(sent)
         moved = measured - self._simulated(setpoints, late) + expected.to(setpoints)
         self._plays.append((sent, moved))
-        known = None if first else late
-        found = identified(self._servos, self._dt, self._plays, self._usual, known)
-        actions_late = float(np.clip(found.late - self.sensors_late, *self._known.latency))
-        self.sensors_late = max(found.late - actions_late, 0.0)
-        self.response = found._replace(late=actions_late)
+        known_delay = None if first else late
+        response = identified(self._servos, self._dt, self._plays, self._usual, known_delay)
+        actions_late = float(np.clip(response.late - self.sensors_late, *self._ranges.latency))
+        self.sensors_late = max(response.late - actions_late, 0.0)
+        self.response = response._replace(late=actions_late)
         seconds = len(sent) * self._dt
         return scores_heard(self._track, notes_heard(play.heard, seconds, self.sensors_late))
 
     def _simulated(self, setpoints: Array, late: float) -> Array:
-        """(T, A) how the robot moves, as far as it is known, by setpoints (T, A) that are late.
+        """Simulated positions (T, A) of servos for setpoints (T, A) that arrive `late` [s].
 
-        Both are differences from where it begins.
+        Both are differences from the start.
         """
         scene = with_servo_damping(self._scene, self.response.damping)
         model, rest = PlanningSimulation(scene, 1, self._dt), self._start @ self._servos.of_joints

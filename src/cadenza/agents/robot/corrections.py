@@ -1,4 +1,4 @@
-"""Corrections of how a song is played, note by note, by what was heard of it."""
+"""Corrections of a song note by note, by the notes that were heard."""
 
 from __future__ import annotations
 
@@ -23,40 +23,40 @@ from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 
-# How far one play corrects at most, and all of them together [m].
+# Corrections by one play [m].
 _DEEPER = 0.0015  # of a key that is lost
 _BESIDE = 0.0015  # of a finger that brushes the next key
 _RAISE = 0.003  # of an idle finger that sounds a key
-_LIFT = (-0.002, 0.003)  # at the end of a press
-_STRIKE = np.array([0.004, 0.008])
-_MOST: dict[str, tuple[Any, Any]] = {
+_LIFT = (-0.002, 0.003)  # minimum and maximum at the end of a press
+_MAX_STRIKE = np.array([0.004, 0.008])
+_BOUNDS: dict[str, tuple[Any, Any]] = {
     "deeper": (-1.0, 2.0),
     "lift": (-2.0, 4.0),
     "beside": (-4 / 3, 4 / 3),
-    "reach": (np.array([-3.0, -1.0]), np.array([3.0, 1.0])),  # further across is the next key
+    "reach": (np.array([-3.0, -1.0]), np.array([3.0, 1.0])),  # not as far as the next key
     "strike": (np.array([-20 / 3, -40 / 3]), np.array([20 / 3, 40 / 3])),
     "hands": (-2.0, 2.0),
 }
-"""The bounds of corrections, as multiples of how far the keyboard may be off."""
+"""Bounds of all corrections together, as multiples of the usual error of the keyboard's place."""
 _SHARE = 0.6  # of the error of a strike that is corrected
 
-_MEANT = 0.15  # [s] early or late at most of the note that a press was to play
-_ERROR = np.array([0.06, 1.5])  # [s, octaves] by which strikes are corrected at most
-_UNIT = UNIT / [1.0, 0.4]  # errors of strikes that count as much: times matter more than loudness
+_MAX_LATENESS = 0.15  # [s] of the note that a press played
+_MAX_ERROR = np.array([0.06, 1.5])  # [s, octaves] of a strike that counts
+_UNIT = UNIT / [1.0, 0.4]  # errors of equal weight: times matter more than loudness
 _DAMPING = 1e3  # [1/m^2] of the corrections of strikes, as in `StrikeRefinement`
-_END = 0.02  # [s] after the end of a press at which its key ceases to sound, so as not to be early
-_LIFT_SPEED = 0.06  # [m/s] of the correction of lifts
-_LOST = 0.06  # [s] by which a note that is too short was lost, and not let go of
-_NEAR = 5  # control steps from a press in which its key sounds by its finger
-_BEFORE = 3  # control steps before a press in which its finger moves to where it is to strike
-_STRIKING = 4  # control steps after it begins, by which it is seen where its finger struck
-_OFF = 0.005  # [m] off that at most, it hits its key all the same
-_REACH = 0.5  # share of how much further it was off that is corrected
-_SILENT = 0.2  # share of a press in which its key sounds, below which its finger did not get there
-_LONG = 40  # control steps of a press from which on it then strikes late, rather than never
-_LATEST = 3  # by an n-th of the press at most
-_AWAY = 0.012  # [m] above where it is to be, at which a finger that is to strike late waits
-_HIGHEST = 0.055  # [m] of fingertips from which on they sound no key
+_END = 0.02  # target time from the end of a press to the end of its note, to be not too early [s]
+_LIFT_SPEED = 0.06  # [m/s] correction of lifts by the error of the end
+_LOST = 0.06  # [s] by which a note is too short, above which its key was lost, not released
+_NEAR = 5  # control steps around a press in which its finger may sound its key
+_BEFORE = 3  # control steps before a press in which its finger moves over its key
+_STRIKING = 4  # first control steps of a press, which show where its finger struck
+_HIT = 0.005  # [m] from its target at which a finger still hits its key
+_REACH = 0.5  # share of a larger distance that is corrected
+_MIN_SOUNDING = 0.2  # share of a press in which its key sounds, unless its finger did not arrive
+_LONG = 40  # control steps of a press that may be struck late, rather than never
+_MAX_WAIT_SHARE = 3  # it waits at most for an n-th of the press
+_AWAY = 0.012  # [m] above its target at which a finger waits
+_HIGHEST = 0.055  # [m] height of fingertips above which they sound no key
 
 
 @dataclass
@@ -70,15 +70,15 @@ class PressCorrections:
     beside: Array
     """(N,) to the player's right."""
     reach: Array
-    """(N, 2) along the key and across it, as the finger did not come so far."""
+    """(N, 2) along the key and across it, for a finger that fell short."""
     wait: Array
-    """(N,) control steps by which a finger strikes late, as it does not get there in time."""
+    """(N,) control steps by which a finger strikes late, as it does not arrive in time."""
     strike: Array
-    """(N, 2) deeper by control before the strike, and in it."""
+    """(N, 2) deeper controls before the strike, and in it."""
     hands: Array
     """(H, 3) of all fingertips of a hand."""
     raised: list[tuple[int, int, int]] = field(default_factory=list)
-    """Fingers that are raised from one state up to another."""
+    """First state, end and row of idle fingers that are raised."""
 
     @classmethod
     def none(cls, presses: int, hands: int) -> PressCorrections:
@@ -88,14 +88,14 @@ class PressCorrections:
         return cls(deeper, lift, beside, reach, wait, strike, np.zeros((hands, 3)))
 
     def towards(self, other: PressCorrections, share: float, place: float) -> PressCorrections:
-        """These corrections, and a share of the way to others, within bounds.
+        """These corrections, moved by a share of the way to others, within bounds.
 
-        The keyboard may be off by so much in its `place` [m].
+        The usual error of the keyboard's place is `place` [m].
         """
         return PressCorrections(
             **{
                 name: (old + share * (getattr(other, name) - old)).clip(low * place, high * place)
-                for name, (low, high) in _MOST.items()
+                for name, (low, high) in _BOUNDS.items()
                 for old in [getattr(self, name)]
             },
             wait=other.wait,
@@ -104,12 +104,12 @@ class PressCorrections:
 
 
 class NoteCorrections:
-    """Corrects how a plan is played by the notes that were heard of it."""
+    """Corrections of a plan by the notes that were heard of it."""
 
     def __init__(self, plan: SongPlan, postures: Array, place: float) -> None:
         """Take the plan of a song, and the postures (T + 1, A) in which it is played.
 
-        The keyboard may be off by so much in its `place` [m].
+        The usual error of the keyboard's place is `place` [m].
         """
         scene, dt = plan.scene, plan.track.config.control_timestep
         self._scene, self._dt, self._postures = scene, dt, postures
@@ -125,7 +125,7 @@ class NoteCorrections:
         self._steps = len(postures) - 1
 
     def _row(self, press: Press) -> int:
-        """The row of a finger among those of the scene."""
+        """Row of a press's finger among those of the scene."""
         first = self._scene.fingers.of_hand(SIDES.index(press.side)).start
         return self._fingers * self._scene.sides.index(press.side) + press.finger - first
 
@@ -133,11 +133,11 @@ class NoteCorrections:
         """No corrections."""
         return PressCorrections.none(len(self._presses), len(self._scene.sides))
 
-    # What corrections are in servos
+    # Corrections as motions of servos
 
     def postures(self, corrections: PressCorrections) -> Array:
-        """(T + 1, A) the postures of the play with its corrections, but for strikes."""
-        error, postures = self._moved(corrections), self._postures.copy()
+        """Postures (T + 1, A) with all corrections except those of strikes."""
+        error, postures = self._displacements(corrections), self._postures.copy()
         reach = np.zeros_like(error[..., :2])
         for press, row, way in zip(self._presses, self._rows, corrections.reach, strict=True):
             reach[max(press.first - _BEFORE, 0) : press.last, row] = way
@@ -150,39 +150,39 @@ class NoteCorrections:
             postures[:, self._scene.servos_on(side)] += change
         return postures
 
-    def _moved(self, corrections: PressCorrections) -> Array:
-        """(T + 1, F, 3) by how much fingertips are to be moved [m]."""
-        moved = np.zeros_like(self._tips)
-        moved += np.repeat(corrections.hands, self._fingers, axis=0)
+    def _displacements(self, corrections: PressCorrections) -> Array:
+        """Displacements (T + 1, F, 3) of fingertips by the corrections [m]."""
+        result = np.zeros_like(self._tips)
+        result += np.repeat(corrections.hands, self._fingers, axis=0)
         for i, (press, row) in enumerate(zip(self._presses, self._rows, strict=True)):
-            moved[press.first : press.last, row, 2] -= corrections.deeper[i]
-            moved[press.first - 1 : press.last, row, 1] += corrections.beside[i]
+            result[press.first : press.last, row, 2] -= corrections.deeper[i]
+            result[press.first - 1 : press.last, row, 1] += corrections.beside[i]
             if wait := int(corrections.wait[i]):
-                moved[max(press.first - _BEFORE, 0) : press.first + wait, row, 2] += _AWAY
-            moved[press.last - 1, row, 2] += corrections.lift[i] / 2
-            moved[press.last : press.last + 1, row, 2] += corrections.lift[i]
+                result[max(press.first - _BEFORE, 0) : press.first + wait, row, 2] += _AWAY
+            result[press.last - 1, row, 2] += corrections.lift[i] / 2
+            result[press.last : press.last + 1, row, 2] += corrections.lift[i]
         for first, last, row in corrections.raised:
-            moved[first:last, row, 2] += _RAISE
-        return moved
+            result[first:last, row, 2] += _RAISE
+        return result
 
     def strikes(self, corrections: PressCorrections) -> Array:
-        """(T, A) changes of controls by which strikes are corrected."""
+        """Changes (T, A) of controls that correct strikes."""
         controls = np.zeros((self._steps, self._postures.shape[1]))
         for press, row, (before, during) in zip(
             self._presses, self._rows, corrections.strike, strict=True
         ):
             step, (hand, finger) = press.first - 1, divmod(row, self._fingers)
             servos = self._scene.servos_on(self._scene.sides[hand])
-            own = self._servos[hand].finger == finger
-            lowering = self._lowering[step, servos] * own
+            is_of_finger = self._servos[hand].finger == finger
+            lowering = self._lowering[step, servos] * is_of_finger
             controls[max(step - 1, 0), servos] += before * lowering * (step > 0)
             controls[step, servos] += during * lowering
         return controls
 
-    # What is heard
+    # Corrections by the notes heard
 
     def locate(self, notes: Sequence[Note], postures: Array) -> None:
-        """Learn where hands strike from a play, heard while they were in `postures` (T + 1, A)."""
+        """Learn from a play, in `postures` (T + 1, A), where the hands strike."""
         self._places.begin()
         tips = self._kinematics.points(postures)[:, :, TIP]
         lower = (self._tips - tips)[:, :, 2]
@@ -191,73 +191,78 @@ class NoteCorrections:
         keys = np.array([press.key for press in self._presses])
         for press, row, time in zip(self._presses, self._rows, due, strict=True):
             tip = tips[press.first : press.last, row][:_STRIKING].mean(axis=0)
-            others = keys[(abs(due - time) < 2 * _MEANT) & (keys != press.key)]
-            heard = np.array([n.pitch - lowest for n in notes if abs(n.start - time) < _MEANT])
+            others = keys[(abs(due - time) < 2 * _MAX_LATENESS) & (keys != press.key)]
+            heard = np.array(
+                [n.pitch - lowest for n in notes if abs(n.start - time) < _MAX_LATENESS]
+            )
             self._places.strike(row // self._fingers, press.key, tip, others, heard)
             if down := self._down(press, notes):
                 self._places.hold(row // self._fingers, float(lower[down, row].mean()))
 
     def _down(self, press: Press, notes: Sequence[Note]) -> list[int]:
-        """The states of a press, but for its first, in which its key has sounded for a step."""
+        """The states of a press, except the first, in which its key has sounded for a step."""
         pitch, dt = press.key + self._scene.keyboard.lowest_pitch, self._dt
-        own = [(note.start + dt, note.end + dt) for note in notes if note.pitch == pitch]
+        spans = [(note.start + dt, note.end + dt) for note in notes if note.pitch == pitch]
         states = range(press.first + 1, press.last)
-        return [s for s in states if any(start < s * dt < end for start, end in own)]
+        return [s for s in states if any(start < s * dt < end for start, end in spans)]
 
     def corrected(
         self, corrections: PressCorrections, notes: Sequence[Note], postures: Array, share: float
     ) -> PressCorrections:
-        """Correct by a `share` of what was heard while the hands were in `postures` (T + 1, A)."""
+        """Corrections by a `share` of the errors heard in a play, in `postures` (T + 1, A)."""
         new, by_key = deepcopy(corrections), defaultdict[int, list[Note]](list)
         for note in notes:
             by_key[note.pitch - self._scene.keyboard.lowest_pitch].append(note)
-        meant = self._meant(by_key)
-        for i, (press, played) in enumerate(zip(self._presses, meant, strict=True)):
-            if played is None:
+        matches = self._matches(by_key)
+        for i, (press, match) in enumerate(zip(self._presses, matches, strict=True)):
+            if match is None:
                 self._correct_missed(new, i, by_key[press.key])
             else:
-                self._correct_strike(new, i, played)
-                self._correct_end(new, i, played)
-            long = press.last - press.first >= max(_LONG, _LATEST * (new.wait[i] + _STRIKING))
-            if long and self._share(press, by_key[press.key]) < _SILENT:
+                self._correct_strike(new, i, match)
+                self._correct_end(new, i, match)
+            min_length = max(_LONG, _MAX_WAIT_SHARE * (new.wait[i] + _STRIKING))
+            is_long = press.last - press.first >= min_length
+            if is_long and self._share_sounding(press, by_key[press.key]) < _MIN_SOUNDING:
                 new.wait[i] += _STRIKING
         tips = self._kinematics.points(postures)[:, :, TIP]
-        short = self._short(corrections, tips)
-        new.reach += _REACH * (short - short.clip(-_OFF, _OFF))
-        others = [note for note in notes if not any(note is each for each in meant)]
-        self._correct_others(new, others, tips)
+        shortfall = self._shortfall(corrections, tips)
+        new.reach += _REACH * (shortfall - shortfall.clip(-_HIT, _HIT))
+        extra_notes = [note for note in notes if not any(note is match for match in matches)]
+        self._correct_others(new, extra_notes, tips)
         new.hands[:, 1:] = -np.stack([self._places.right, self._places.up], axis=1)
         return corrections.towards(new, share, self._place)
 
     def _due(self, press: Press) -> tuple[float, float]:
-        """When the key of a press is to begin to sound, and to cease [s]."""
+        """Target times of onset and offset of a press [s]."""
         within = press.strike.time if press.strike else self._dt / 2
         return (press.first - 1) * self._dt + within, (press.last - 1) * self._dt
 
-    def _meant(self, by_key: dict[int, list[Note]]) -> list[Note | None]:
-        """The note that each press has played."""
-        meant: list[Note | None] = []
+    def _matches(self, by_key: dict[int, list[Note]]) -> list[Note | None]:
+        """The note of each press, None without any."""
+        result: list[Note | None] = []
         for press in self._presses:
             due, _ = self._due(press)
-            near = [n for n in by_key[press.key] if abs(n.start - due) < _MEANT]
-            near = [n for n in near if not any(n is each for each in meant)]
-            meant.append(min(near, key=lambda n: abs(n.start - due), default=None))
-        return meant
+            near = [n for n in by_key[press.key] if abs(n.start - due) < _MAX_LATENESS]
+            near = [n for n in near if not any(n is matched for matched in result)]
+            result.append(min(near, key=lambda n: abs(n.start - due), default=None))
+        return result
 
-    def _share(self, press: Press, notes: list[Note]) -> float:
+    def _share_sounding(self, press: Press, notes: list[Note]) -> float:
         """The share of a press in which its key sounds."""
         begin, end = (press.first - 1) * self._dt, (press.last - 1) * self._dt
         sounding = sum(max(min(n.end, end) - max(n.start, begin), 0.0) for n in notes)
         return sounding / (end - begin)
 
-    def _short(self, corrections: PressCorrections, tips: Array) -> Array:
-        """(N, 2) by how much fingers were off, along and across keys, when they struck [m]."""
-        away = (self._tips + self._moved(corrections) - tips)[:, :, :2]
-        struck = zip(self._presses, self._rows, strict=True)
-        return np.array([away[p.first : p.last, row][:_STRIKING].mean(axis=0) for p, row in struck])
+    def _shortfall(self, corrections: PressCorrections, tips: Array) -> Array:
+        """Distances (N, 2) of fingers from their targets when they struck, along and across [m]."""
+        error = (self._tips + self._displacements(corrections) - tips)[:, :, :2]
+        presses = zip(self._presses, self._rows, strict=True)
+        return np.array(
+            [error[p.first : p.last, row][:_STRIKING].mean(axis=0) for p, row in presses]
+        )
 
     def _correct_missed(self, new: PressCorrections, i: int, notes: list[Note]) -> None:
-        """Correct a press that has begun no note: its key was held, or has not come down."""
+        """Correct a press without a note: its key was still down, or has not gone down."""
         press = self._presses[i]
         due, _ = self._due(press)
         if any(note.start < due < note.end for note in notes):
@@ -269,7 +274,7 @@ class NoteCorrections:
         new.strike[i, 1] += 2 * _DEEPER
 
     def _correct_strike(self, new: PressCorrections, i: int, note: Note) -> None:
-        """Correct when a note began, and how loud, by a damped step of least squares."""
+        """Correct onset and loudness of a note by a damped least-squares step."""
         press, (due, _) = self._presses[i], self._due(self._presses[i])
         if press.strike is None:
             return
@@ -277,18 +282,18 @@ class NoteCorrections:
         lever = 2 * keyboard.white.half_size[0]  # nearly
         heard = as_heard(keyboard.speed(max(note.velocity, 1)))
         error = np.array([note.start - due, heard - np.log2(press.strike.speed)])
-        error = error.clip(-_ERROR, _ERROR) / _UNIT
+        error = error.clip(-_MAX_ERROR, _MAX_ERROR) / _UNIT
         depth = np.tan(keyboard.sounds_from[press.key]) * lever
         response = self._model.response(
             *np.array([[press.strike.time], [press.strike.speed * lever], [depth]])
         )
         response = response[0] / _UNIT[:, None]
         damped = response.T @ response + _DAMPING * np.eye(2)
-        step = -np.linalg.solve(damped, response.T @ error).clip(-_STRIKE, _STRIKE)
+        step = -np.linalg.solve(damped, response.T @ error).clip(-_MAX_STRIKE, _MAX_STRIKE)
         new.strike[i] += _SHARE * step
 
     def _correct_end(self, new: PressCorrections, i: int, note: Note) -> None:
-        """Correct when a note ended: its key was lost, or let go of early or late."""
+        """Correct the end of a note: its key was lost, or released early or late."""
         _, end = self._due(self._presses[i])
         if note.end < end - _LOST:
             new.deeper[i] += _DEEPER
@@ -296,14 +301,14 @@ class NoteCorrections:
             new.lift[i] += np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
 
     def _correct_others(self, new: PressCorrections, notes: list[Note], tips: Array) -> None:
-        """Correct what no press was to play, by where fingertips (T + 1, F, 3) were."""
+        """Correct extra notes, by the places of fingertips (T + 1, F, 3)."""
         keyboard, right = self._scene.keyboard, np.repeat(self._places.right, self._fingers)
         for note in notes:
             key = note.pitch - keyboard.lowest_pitch
             state = min(int(note.start / self._dt) + 1, self._steps)
-            if own := self._pressing(state, _NEAR, key=key):
-                if note.start > self._due(self._presses[own[0]])[1]:
-                    new.lift[own[0]] += _LIFT[1]
+            if of_key := self._pressing(state, _NEAR, key=key):
+                if note.start > self._due(self._presses[of_key[0]])[1]:
+                    new.lift[of_key[0]] += _LIFT[1]
                 continue
             away = abs(tips[state, :, 1] + right - keyboard.centre[key, 1])
             row = int(np.argmin(away + np.maximum(tips[state, :, 2] - _HIGHEST, 0.0)))
@@ -317,7 +322,7 @@ class NoteCorrections:
     def _pressing(
         self, state: int, near: int, *, key: int | None = None, row: int | None = None
     ) -> list[int]:
-        """The presses of a key, or by a finger, some steps around a state."""
+        """Numbers of the presses of a key, or of a finger, within some steps around a state."""
         return [
             i
             for i, press in enumerate(self._presses)

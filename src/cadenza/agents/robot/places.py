@@ -1,4 +1,4 @@
-"""Where the hands of a robot strike, by which keys they sound, and where they hold them."""
+"""Estimates of the true places of a robot's hands, from the keys that they sound and hold."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from cadenza.agents.agent import Array
 from cadenza.keyboards.keyboard import Keyboard
 
-_PLACES = np.arange(-0.015, 0.0155, 0.001)  # [m] to the right of where joints say that a hand is
+_PLACES = np.arange(-0.015, 0.0155, 0.001)  # [m] to the right of the place that joints show
 _AROUND = 4  # keys to either side of its own that a finger may sound
-_WIDTH = 0.004  # [m] from a key at which a finger sounds it in half of all cases
-_SOFT = 0.0015  # [m] within which that is uncertain
-_CHANCE = 0.05  # of a key to sound, or not, wherever the finger is
-_SHARE = 0.3  # of what strikes of a play say, as all fingers of a hand are off alike
-_UNSURE = 2  # presses at the nominal height that the measured heights are averaged with
+_WIDTH = 0.004  # [m] from a key at which a finger sounds it with probability 1/2
+_SOFT = 0.0015  # [m] scale of the logistic function of this distance
+_CHANCE = 0.05  # probability of an onset, or of none, wherever the finger is
+_SHARE = 0.3  # weight of the strikes of a play, whose errors are not independent
+_PRIOR_HOLDS = 2  # at the nominal height, averaged with the measured heights
 
 
 class HandPlaces:
-    """How far to the right of, and above, where they seem to be H hands are, by all that was heard.
+    """Offsets of H hands to the right of, and above, the places that their joints show.
 
-    A hand has one place in all plays. How likely each is, is multiplied strike by strike (Bayes).
-    The same strikes err in the same way in each play, so plays count as one.
+    A hand has the same offset in all plays. The likelihood of each is multiplied strike by strike
+    (Bayes). As the same strikes have the same errors in each play, all plays count as one.
     """
 
     def __init__(self, keyboard: Keyboard, hands: int, usual: float) -> None:
@@ -39,16 +39,17 @@ class HandPlaces:
 
     @property
     def up(self) -> Array:
-        """(H,) the medians of what holds have told, nearer to 0 if they are few [m]."""
-        few = [len(each) / (len(each) + _UNSURE) for each in self._heights]
-        return np.array(few) * [np.median(each) if each else 0.0 for each in self._heights]
+        """(H,) medians of the heights of holds, shrunk to 0 if they are few [m]."""
+        shares = [len(heights) / (len(heights) + _PRIOR_HOLDS) for heights in self._heights]
+        medians = [np.median(heights) if heights else 0.0 for heights in self._heights]
+        return np.array(shares) * medians
 
     def begin(self) -> None:
-        """Begin with the next play."""
+        """Begin the next play."""
         self._plays += 1
 
     def hold(self, hand: int, lower: float) -> None:
-        """Learn from a key that sounds, so is down, while its finger seems so much `lower` [m]."""
+        """Learn from a key that is down while its finger seems `lower` than the plan has it [m]."""
         self._heights[hand].append(lower)
 
     def strike(self, hand: int, key: int, tip: Array, others: Array, heard: Array) -> None:
@@ -56,10 +57,10 @@ class HandPlaces:
 
         Args:
             hand: the number of the hand.
-            key: which it was to sound.
-            tip: (3,) where the fingertip seems to have been [m].
-            others: keys that others were to sound then, and of which it says nothing.
-            heard: keys that have begun to sound then.
+            key: its key.
+            tip: (3,) the place of the fingertip that joints show [m].
+            others: keys of other strikes at that time, which are ignored.
+            heard: keys that began to sound at that time.
         """
         centre, half = self._keyboard.centre, self._keyboard.half_size
         first, last = max(key - _AROUND, 0), min(key + _AROUND + 1, self._keyboard.num_keys)

@@ -1,9 +1,9 @@
-"""Practice with a robot whose parameters nobody knows, by what is measured and heard of it.
+"""Practice with a robot of unknown parameters, by measured joints and notes heard.
 
-What a planner plays on the nominal robot is played without feedback, and corrected from play to
-play by iterative learning control: of joints, so that they move as on the nominal robot, and of
-notes, so that they sound as they are written. A song is played ten times, of which the first two
-are the generalist's if it knows such hands, and once more as it was heard best.
+The planner's performance on the nominal robot is played without feedback, and corrected from play
+to play by iterative learning control: of joints, so that they move as on the nominal robot, and of
+notes, so that they sound as written. A song is played ten times, the first two times by the
+generalist if it knows these hands, and once more as in the best play.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ from cadenza.tasks.unknown_robot import PLAYS
 from cadenza.tasks.view import View
 
 _GAIN = 0.8  # share of the errors of joints that is corrected
-# Of squared changes of controls beside squared errors of joints, times the number of plays: the
-# later, the more of what is measured is noise, of which slides have little.
+# Weight of squared changes of controls beside squared errors of joints, times the number of plays:
+# in later plays, more of the errors is noise. Slides have little of it.
 _COST, _COST_OF_SLIDES = 0.1, 0.003
 _COST_OF_PLAN = 0.2  # the same before the first play
-_WORSE = 0.15  # below the best score, from which on it is hardly chance, and practice goes back
-_CLOSED_LOOP = 2  # plays, after which little more is found of the servos
-_LESS = 0.5  # share of corrections after a play that was worse
+_WORSE = 0.15  # below the best score, more than by chance: practice goes back to the best play
+_CLOSED_LOOP = 2  # plays, after which little more is learnt about the servos
+_REDUCTION = 0.5  # factor of the corrections after a worse play
 
 
-class _Learnt(NamedTuple):
-    """What was learnt before a play."""
+class _PlayInputs(NamedTuple):
+    """Corrections and controls of a play."""
 
     corrections: PressCorrections
     controls: Array
-    """(T, A) differences from where servos are at the beginning [m, rad]."""
+    """(T, A) differences from the start [m, rad]."""
 
 
 class Take(NamedTuple):
-    """A play, how it was scored by what was heard, and what it was played with."""
+    """A play, its scores by the notes heard, and the corrections that it was played with."""
 
     actions: Array
     """(T, A) in actuator units, the pedal last."""
@@ -64,8 +64,8 @@ class Take(NamedTuple):
     notes: list[Note]
     """The notes that were heard, by the time of the song."""
     measured: Array
-    """(T + 1, A) postures by the sensors, without what they were off at the beginning."""
-    learnt: _Learnt
+    """(T + 1, A) postures by the sensors, without their offset at the start."""
+    inputs: _PlayInputs
 
     @property
     def score(self) -> float:
@@ -77,60 +77,60 @@ class RobotPractice:
     """Practice of one song with one robot.
 
     Attributes:
-        best: the best play so far, by what was heard; None before the first.
-        response: how servos respond, as far as it is known.
-        sensors_late: for how long what is measured is on its way [s].
+        best: the best play so far, by the notes heard; None before the first.
+        response: the response of the servos, as identified so far.
+        sensors_late: the delay of the sensors [s].
     """
 
     def __init__(
-        self, plan: SongPlan, nominal: Episode, known: DomainRandomization, response: Response
+        self, plan: SongPlan, nominal: Episode, ranges: DomainRandomization, response: Response
     ) -> None:
-        """Take what was played on the nominal robot, by a plan, and how robots are drawn.
+        """Take a plan, its episode on the nominal robot, and the ranges of robots.
 
-        Of this it takes how far keyboard and hands may be off, and how late sensors are; `response`
-        is what is known of the servos.
+        The ranges give the errors of place of keyboard and hands, and the delay of sensors;
+        `response` is the response of the servos as known so far.
         """
         self._track, scene = plan.track, plan.scene
         self._dt, self._servos = self._track.config.control_timestep, servos_of(scene)
         joints = np.concatenate([nominal["hand_qpos0"][None], nominal["hand_qpos"]])
         self._postures, self._played = joints @ self._servos.of_joints, nominal["action"]
-        place = known.keyboard_offset + known.mount_offset
+        place = ranges.keyboard_offset + ranges.mount_offset
         self._notes = NoteCorrections(plan, self._postures, place)
-        planned = self._played[:, :-1] - self._postures[0]
-        same = np.ones(planned.shape[1])
-        self._nominal = self._responding(Response(0.0, same, np.inf * same))
-        self._moved = self._nominal.to(planned)
+        planned_controls = self._played[:, :-1] - self._postures[0]
+        ones = np.ones(planned_controls.shape[1])
+        self._nominal = self._servo_response(Response(0.0, ones, np.inf * ones))
+        self._moved = self._nominal.to(planned_controls)
         slides = sliding(scene) @ self._servos.of_joints > 0
         self._cost = np.where(slides, _COST_OF_SLIDES, _COST)
         self.response = response
-        self.sensors_late = sum(known.observation_latency) / 2
-        self._robot = self._responding(self.response)
-        before = self._robot.limited(planned)
+        self.sensors_late = sum(ranges.observation_latency) / 2
+        self._robot = self._servo_response(self.response)
+        before = self._robot.limited(planned_controls)
         change = self._moved - self._robot.to(before)
-        controls = self._robot.controls(before, change, _COST_OF_PLAN * same)
-        self._learnt, self._share = _Learnt(self._notes.none(), controls), 1.0
+        controls = self._robot.controls(before, change, _COST_OF_PLAN * ones)
+        self._inputs, self._share = _PlayInputs(self._notes.none(), controls), 1.0
         self.best: Take | None = None
         self._plays = 0
-        self._usual = usual_response(self._servos, self._dt, known).fastest
+        self._usual = usual_response(self._servos, self._dt, ranges).fastest
         self._tracked = list[tuple[Array, Array]]()
 
-    def _responding(self, known: Response) -> ServoResponse:
-        return ServoResponse(self._servos, self._dt, known)
+    def _servo_response(self, response: Response) -> ServoResponse:
+        return ServoResponse(self._servos, self._dt, response)
 
     def actions(self) -> Array:
         """(T, A) the actions of the next play."""
-        controls = self._servos.clip(self._postures[0] + self._learnt.controls)
+        controls = self._servos.clip(self._postures[0] + self._inputs.controls)
         return np.column_stack([controls, self._played[:, -1]])
 
     def learn(self, play: Play) -> Take:
-        """Learn from a play of `actions`, and return how it was."""
+        """Learn from a play of `actions`, and return it with its scores."""
         seconds, late = len(play.actions) * self._dt, self.sensors_late
         notes = notes_heard(play.heard, seconds, late)
         measured = play.joints @ self._servos.of_joints
-        # The hands begin where they are put, so that sensors show there by how much they are off.
+        # The true start is known: what sensors show beside it is their offset.
         measured += self._postures[0] - measured[0]
         f1, onsets = scores_heard(self._track, notes)
-        take = Take(play.actions, f1, onsets, notes, measured, self._learnt)
+        take = Take(play.actions, f1, onsets, notes, measured, self._inputs)
         self._plays += 1
         self._notes.locate(notes, measured)
         self._identify(take)
@@ -138,40 +138,42 @@ class RobotPractice:
             self.best, self._share = take, 1.0
         learn_from = take
         if take.score < self.best.score - _WORSE:
-            learn_from, self._share = self.best, self._share * _LESS
-        self._learnt = self._corrected(learn_from)
+            learn_from, self._share = self.best, self._share * _REDUCTION
+        self._inputs = self._inputs_after(learn_from)
         return take
 
     def _identify(self, take: Take) -> None:
-        """Find how servos respond, by which response joints have moved so late and so slowly."""
+        """Identify the response of the servos from the motions of the joints."""
         sent = take.actions[:, :-1] - self._postures[0]
         self._tracked.append((sent, take.measured[1:] - self._postures[1:] + self._moved))
         late = self.response.late + self.sensors_late if self.best else None
-        found = identified(self._servos, self._dt, self._tracked, self._usual, late)
-        self.sensors_late = min(self.sensors_late, found.late)
-        self.response = found._replace(late=found.late - self.sensors_late)
-        self._robot = self._responding(self.response)
+        response = identified(self._servos, self._dt, self._tracked, self._usual, late)
+        self.sensors_late = min(self.sensors_late, response.late)
+        self.response = response._replace(late=response.late - self.sensors_late)
+        self._robot = self._servo_response(self.response)
 
-    def _wanted(self, corrections: PressCorrections) -> Array:
-        """(T, A) the postures after each step of a play with its corrections."""
+    def _target(self, corrections: PressCorrections) -> Array:
+        """Target postures (T, A) after each step of a play with its corrections."""
         strikes = self._nominal.to(self._notes.strikes(corrections))
         return self._notes.postures(corrections)[1:] + strikes
 
-    def _corrected(self, take: Take) -> _Learnt:
-        """What is learnt from a play, and from what was learnt before it."""
-        before = take.learnt.corrections
+    def _inputs_after(self, take: Take) -> _PlayInputs:
+        """Corrections and controls of the next play, by those of a play and its errors."""
+        before = take.inputs.corrections
         corrections = self._notes.corrected(before, take.notes, take.measured, self._share)
-        wanted, measured = self._wanted(before), take.measured
-        late = self.sensors_late / self._dt  # sensors show what was then
+        target, measured = self._target(before), take.measured
+        late = self.sensors_late / self._dt  # sensors show an earlier state
         after = np.concatenate([measured[2:], measured[-1:]])
-        error = wanted - (1 - late) * measured[1:] - late * after
-        change = self._share * _GAIN * error + self._wanted(corrections) - wanted
+        error = target - (1 - late) * measured[1:] - late * after
+        change = self._share * _GAIN * error + self._target(corrections) - target
         sent = take.actions[:, :-1] - self._postures[0]
-        return _Learnt(corrections, self._robot.controls(sent, change, self._cost * self._plays))
+        return _PlayInputs(
+            corrections, self._robot.controls(sent, change, self._cost * self._plays)
+        )
 
 
 class ScoredPlay(NamedTuple):
-    """A play, and how it was heard."""
+    """A play, and its scores as heard."""
 
     actions: Array
     """(T, A) in actuator units, the pedal last."""
@@ -180,40 +182,40 @@ class ScoredPlay(NamedTuple):
 
 
 def learn_in_ten_plays(
-    robot: Robot, view: View, plan: SongPlan, nominal: Episode, known: DomainRandomization
+    robot: Robot, view: View, plan: SongPlan, nominal: Episode, ranges: DomainRandomization
 ) -> Iterator[ScoredPlay]:
-    """Play a song ten times on a robot, and once more as it was heard best.
+    """Play a song ten times on a robot, and once more as in the best play.
 
-    The first plays are the generalist's in closed loop, if it knows such hands. The others practise
-    what the planner played on the nominal robot.
+    The first plays are the generalist's in closed loop, if it knows these hands. The others
+    practise the planner's performance on the nominal robot.
 
     Args:
         robot: the driver of the robot.
         view: a view before the first step on the nominal robot.
         plan: the planner's plan.
-        nominal: what it played on the nominal robot.
-        known: how robots are drawn.
+        nominal: its episode on the nominal robot.
+        ranges: the ranges from which robots are drawn.
     """
     track, num_steps = plan.track, int(view.num_steps[0])
     dt = track.config.control_timestep
-    response = usual_response(servos_of(plan.scene), dt, known)
-    done = list[tuple[float, Callable[[], Act]]]()
+    response = usual_response(servos_of(plan.scene), dt, ranges)
+    policies = list[tuple[float, Callable[[], Act]]]()
     if ClosedLoop.knows(view):
-        closed = ClosedLoop(view, known)
+        closed = ClosedLoop(view, ranges)
         for _ in range(_CLOSED_LOOP):
-            how: Callable[[], Act] = partial(closed.acting, closed.response)
-            played = play(robot, num_steps, how())
-            take = ScoredPlay(played.actions, *closed.learn(played))
-            done.append((take.f1 + take.note_onset_f1, how))
+            policy: Callable[[], Act] = partial(closed.acting, closed.response)
+            result = play(robot, num_steps, policy())
+            take = ScoredPlay(result.actions, *closed.learn(result))
+            policies.append((take.f1 + take.note_onset_f1, policy))
             yield take
         response = closed.response
-    practice = RobotPractice(plan, nominal, known, response)
-    while len(done) < PLAYS:
-        how = partial(in_turn, practice.actions())
-        heard = practice.learn(play(robot, num_steps, how()))
-        done.append((heard.score, how))
-        yield ScoredPlay(heard.actions, heard.f1, heard.note_onset_f1)
-    _, best = max(done, key=lambda each: each[0])
-    played = play(robot, num_steps, best())
-    notes = notes_heard(played.heard, num_steps * dt, practice.sensors_late)
-    yield ScoredPlay(played.actions, *scores_heard(track, notes))
+    practice = RobotPractice(plan, nominal, ranges, response)
+    while len(policies) < PLAYS:
+        policy = partial(in_turn, practice.actions())
+        practised = practice.learn(play(robot, num_steps, policy()))
+        policies.append((practised.score, policy))
+        yield ScoredPlay(practised.actions, practised.f1, practised.note_onset_f1)
+    _, best = max(policies, key=lambda scored: scored[0])
+    result = play(robot, num_steps, best())
+    notes = notes_heard(result.heard, num_steps * dt, practice.sensors_late)
+    yield ScoredPlay(result.actions, *scores_heard(track, notes))

@@ -1,4 +1,4 @@
-"""A robot as whoever practises with it sees it: five functions, and no parameters."""
+"""A robot as practice sees it: five methods, and no parameters."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from cadenza.tasks.goal_track import GoalTrack
 
 
 class Heard(NamedTuple):
-    """A MIDI message of the instrument: a key began to sound, or ceased to."""
+    """A MIDI message of the instrument: the onset or the offset of a key."""
 
     time: float
-    """When it came, since the beginning of the play [s]."""
+    """The time since the beginning of the play [s]."""
     pitch: int
     """MIDI number of the key."""
     velocity: float
-    """How loud, 1 to 127; 0 for a key that has ceased to sound."""
+    """MIDI velocity, 1 to 127; 0 for an offset."""
 
 
 class Robot(Protocol):
@@ -32,23 +32,23 @@ class Robot(Protocol):
     """
 
     def start(self) -> None:
-        """Bring the hands to where songs begin, at rest, and let the time of the play begin."""
+        """Bring the hands to the start, at rest, and begin the time of the play."""
 
     def send(self, action: Array) -> None:
-        """Send where servos are to be from now on (A,) [m, rad], the pedal last, 0 to 1."""
+        """Send the setpoints of the servos (A,) [m, rad], the pedal last, 0 to 1."""
 
     def read(self) -> Array:
-        """Joints (J,) as measured when the control step ends, for which it waits [m, rad]."""
+        """Wait for the end of the control step, and return the measured joints (J,) [m, rad]."""
 
     def heard(self) -> list[Heard]:
-        """Return what the instrument has sent since the last call, in the order of time."""
+        """Messages of the instrument since the last call, by time."""
 
     def stop(self) -> None:
-        """End the play, whatever has happened: the hands may go limp."""
+        """End the play, even after an error: the hands may go limp."""
 
 
 class Play(NamedTuple):
-    """What was sent to a robot in one play of T steps, measured and heard."""
+    """The actions of one play of T steps, and the joints and messages of the robot."""
 
     actions: Array
     """(T, A) actions in actuator units, the pedal last."""
@@ -58,11 +58,11 @@ class Play(NamedTuple):
 
 
 Act = Callable[[int, Array], Array]
-"""Gives the action (A,) of a control step, by its number and the joints (J,) that were measured."""
+"""Action (A,) as a function of the number of a control step and the measured joints (J,)."""
 
 
 def play(robot: Robot, num_steps: int, act: Act) -> Play:
-    """Play as many control steps."""
+    """Play `num_steps` control steps."""
     robot.start()
     try:
         joints, actions, heard = [robot.read()], list[Array](), list[Heard]()
@@ -77,12 +77,12 @@ def play(robot: Robot, num_steps: int, act: Act) -> Play:
 
 
 def in_turn(actions: Array) -> Act:
-    """Give actions (T, A) one after the other, whatever is measured."""
+    """Actions (T, A) one after the other, without feedback."""
     return lambda step, _: np.asarray(actions[step])
 
 
 def scores_heard(track: GoalTrack, notes: Sequence[Note]) -> tuple[float, float]:
-    """F1 and note onset F1 of a track, whose pedal is as written, by the notes that were heard."""
+    """F1 and note onset F1 of a track by the notes heard, with the pedal as written."""
     goals, dt = track.goals, track.config.control_timestep
     lowest = track.scene.keyboard.lowest_pitch
     ends = dt * (1 + np.arange(goals.num_steps))
@@ -98,7 +98,7 @@ def scores_heard(track: GoalTrack, notes: Sequence[Note]) -> tuple[float, float]
 
 
 def notes_heard(heard: Iterable[Heard], seconds: float, late: float = 0.0) -> list[Note]:
-    """The notes of the first `seconds`, by the time, of messages that are so `late` [s]."""
+    """Notes of the first `seconds`, by time, from messages that are `late` [s]."""
     sounded, none = SoundedNotes(0.0), float("nan")
     for time, pitch, velocity in heard:
         times = (time - late, none) if velocity else (none, time - late)

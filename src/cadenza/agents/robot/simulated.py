@@ -47,16 +47,16 @@ class SimulatedRobot:
         return messages
 
     def stop(self) -> None:
-        """Nothing is to be done: the next play begins anew."""
+        """Do nothing: the next play begins with a reset."""
 
     def _listen(self) -> None:
-        """Take down what keys have done in the last step."""
+        """Record the events of keys in the last step."""
         onset, offset, speed = (values[0] for values in self.env.task.sensed.key_events)
         keyboard = self._spec.scene.keyboard
-        began = self._steps * self._spec.config.control_timestep
-        loud = np.maximum(midi_velocity(speed, keyboard), 1)
-        for times, velocity in (onset, loud), (offset, np.zeros_like(loud)):
+        begin = self._steps * self._spec.config.control_timestep
+        loudness = np.maximum(midi_velocity(speed, keyboard), 1)
+        for times, velocity in (onset, loudness), (offset, np.zeros_like(loudness)):
             for key in np.flatnonzero(np.isfinite(times)):
-                time, pitch = began + times[key], int(key) + keyboard.lowest_pitch
+                time, pitch = begin + times[key], int(key) + keyboard.lowest_pitch
                 self._messages.append(Heard(float(time), pitch, float(velocity[key])))
         self._messages.sort()

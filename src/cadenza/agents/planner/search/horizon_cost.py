@@ -13,42 +13,43 @@ from cadenza.agents.planner.search.strikes import HorizonStrikes
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.music.performance import BOUNCE
 
-_WRONG_KEY = 3.0  # cost of a key that sounds and should not, or the other way round
-_WRONG_ONSET = 3.0  # of a note that has not begun in time, and of an onset where no note begins
-_BRUSHED = 1.5  # of a wrong key that only sounds within a step: for a moment, but it is heard
+_WRONG_KEY = 3.0  # cost of a key that sounds and should not, or is silent and should sound
+_WRONG_ONSET = 3.0  # of a note that has not begun in time, and of an onset without a note
+_BRUSHED = 1.5  # of a wrong key that only sounds within a step, which is audible
 _DEPTH = 3.0  # of a key's squared distance from its harmless range, in units of its travel
 HARMLESS_DEPTH = 0.3  # share of its travel that a key may be down without any cost
-_AXES = np.array([0.55, 1.0, 1.0])  # fingertip errors along the key count less
+_AXES = np.array([0.55, 1.0, 1.0])  # weights of the axes of fingertip errors: less along the key
 _ONES = np.ones(3)
-_TERMINAL = 1.5  # fingertip errors count this much more at the end of the horizon
+_TERMINAL = 1.5  # factor of fingertip errors at the end of the horizon
 
-_DEEPER = 0.006  # [m] that a fingertip should be whose key should sound and does not
-_OVER_ITS_KEY = 0.006  # [m] of horizontal error up to which its height is what is wrong
-_HIGHER = 0.01  # [m] that a fingertip should be whose key should not sound and does
-_OVER_A_KEY = 0.015  # [m] from the middle of such a key up to which a fingertip presses it
-_ASIDE = 0.002  # [m] away from it that a fingertip should be which brushes it and presses its own
-_WORTH_STRIKING = 0.75  # [s] that must be left of a note to strike it late: its end outweighs that
-_LIFTED = 0.008  # [m] above its own key that a finger should be whose note is lost
+# Corrections of the targets of fingertips by what sounded.
+_DEEPER = 0.006  # [m] for a key that should sound and does not
+_OVER_ITS_KEY = 0.006  # [m] horizontal error of a fingertip over its key
+_HIGHER = 0.01  # [m] for a key that should not sound and does
+_OVER_A_KEY = 0.015  # [m] distance from the middle of such a key of a fingertip that presses it
+_ASIDE = 0.002  # [m] for a fingertip that brushes such a key beside its own
+_WORTH_STRIKING = 0.75  # [s] that must be left of a note to strike it late
+_LIFTED = 0.008  # [m] above its own key, for a finger whose note is lost
 
 
 class KeyStates(NamedTuple):
-    """The state of K keys after a step, each (K,).
+    """The state of K keys after a step, (K,) each.
 
-    A note is lost that has not begun in time, or was let go of too early, unless much of it is
-    left: struck again, it would be one note too many, and late.
+    A note is lost if it has not begun in time, or was released too early, unless much of it is
+    left: to strike it again would be an extra note, and late.
     """
 
     sounding: Mask
     lost: Mask
-    """Own keys whose notes were lost within the rollout: wrong until they should end."""
+    """Own keys whose notes were lost within the rollout: wrong until their notes should end."""
     given_up: Mask
-    """Own keys whose notes were lost before it: nothing that the rollout does can mend them."""
+    """Own keys whose notes were lost before the rollout, which cannot mend them."""
     silent: Array
-    """For how long keys have been silent [s], a multiple of the physics step, at least."""
+    """Minimum time for which keys have been silent [s], a multiple of the physics step."""
     costs: Array
-    """What they have cost in the step."""
+    """Costs of the keys in the step."""
     wrong_notes: int
-    """The number of notes that a listener would have missed, or heard too many, in the step."""
+    """The number of missed and extra notes in the step, as a listener would count them."""
 
 
 class HorizonCost:
@@ -57,7 +58,7 @@ class HorizonCost:
     Attributes:
         num_steps: H, the number of steps.
         start: the keys before the first step.
-        strikes: how its keys should begin to sound.
+        strikes: the targets of timed strikes.
     """
 
     def __init__(
@@ -69,31 +70,31 @@ class HorizonCost:
         key_qpos: Array,
         silent: Array | float = np.inf,
     ) -> None:
-        """Takes the goals of steps (H,) of the song for the K keys that are simulated.
+        """Take the goals of steps (H,) of the song for the K simulated keys.
 
-        `key_qpos` (K,) are the angles of these before the first step [rad], and `silent` (K,) is
-        for how long they have been silent [s], infinite if it does not matter.
+        `key_qpos` (K,) are the angles of the keys before the first step [rad], and `silent` (K,)
+        the time for which they have been silent [s], infinite if it does not matter.
         """
-        wanted, wrong = goals.keys[steps, keys], goals.wrong[steps, keys]
-        self._wanted, self._wrong, self._counts = wanted, wrong, wanted | wrong
+        target, wrong = goals.keys[steps, keys], goals.wrong[steps, keys]
+        self._target, self._wrong, self._counts = target, wrong, target | wrong
         self._finger = goals.finger[steps, keys]
-        self._held = wanted & goals.planned[steps, keys]
+        self._held = target & goals.planned[steps, keys]
         self._mistakes = self._held | wrong
         self._onset_due = goals.onset_due[steps, keys]
         self._onset_wrong = goals.onset_wrong[steps, keys]
         self._centre, self._half_size = keyboard.centre[keys], keyboard.half_size[keys]
         self._sounds_from = keyboard.sounds_from[keys]
         self.num_steps, sounding = len(steps), key_qpos >= self._sounds_from
-        self._late = wanted & self._onset_wrong & ~_goes_on(goals, steps, keys)
+        self._late = target & self._onset_wrong & ~_goes_on(goals, steps, keys)
         given_up = self._late[0] & ~sounding
         silent = np.where(sounding, 0.0, silent)
         free = np.zeros(len(sounding))
         self.start = KeyStates(sounding, np.zeros_like(given_up), given_up, silent, free, 0)
         self._dt = goals.dt
         # A key's distance from its harmless range, in units of its travel: factor * angle + offset.
-        sign = wrong.astype(np.float64) - wanted
+        sign = wrong.astype(np.float64) - target
         self._factor = sign / keyboard.travel[keys]
-        self._offset = np.where(wanted, 1.0, np.where(wrong, -HARMLESS_DEPTH, 0.0))
+        self._offset = np.where(target, 1.0, np.where(wrong, -HARMLESS_DEPTH, 0.0))
         self._fingertips, self._weight = goals.fingertips[steps + 1], goals.weight[steps + 1]
         if given_up.any():
             self._fingertips = self._fingertips.copy()
@@ -106,9 +107,9 @@ class HorizonCost:
     def costs(
         self, first: int, key_paths: Array, fingertips: Array, before: KeyStates
     ) -> list[tuple[float, int, KeyStates]]:
-        """Cost and mistakes of L steps, from the `first` on, each with the keys after it.
+        """Cost and mistakes of L steps from `first` on, each with the keys after it.
 
-        A key that the plan lets go early is no mistake to search for, though it costs.
+        A key that the plan releases early costs, but is no mistake to search for.
 
         Args:
             first: the number of the first of these steps, from 0.
@@ -127,41 +128,41 @@ class HorizonCost:
     def _key_costs(
         self, rows: slice, key_paths: Array, before: KeyStates
     ) -> tuple[Array, NDArray[np.intp], list[KeyStates]]:
-        """Costs (L, K) of the keys, the numbers (L,) of mistakes, and the keys after each step."""
-        wanted, late, onset_wrong = self._wanted[rows], self._late[rows], self._onset_wrong[rows]
-        on_the_way = key_paths >= self._sounds_from
-        sounding, heard = on_the_way[:, -1], on_the_way[:, 1:]
-        sounded = np.concatenate([before.sounding[None], sounding[:-1]])
-        begins = sounding & ~sounded
+        """Costs (L, K) of the keys, numbers (L,) of mistakes, and the keys after each step."""
+        target, late, onset_wrong = self._target[rows], self._late[rows], self._onset_wrong[rows]
+        is_sounding = key_paths >= self._sounds_from
+        sounding, heard = is_sounding[:, -1], is_sounding[:, 1:]
+        sounding_before = np.concatenate([before.sounding[None], sounding[:-1]])
+        begins = sounding & ~sounding_before
         lost, given_up = _lost_notes(late, sounding, before)
         is_lost, is_given_up = lost[:-1] & late, given_up[:-1] & late
-        wrong = ((sounding ^ wanted) & self._counts[rows] | is_lost) & ~is_given_up
+        wrong = ((sounding ^ target) & self._counts[rows] | is_lost) & ~is_given_up
         wrong_onsets = np.where(sounding, onset_wrong & begins, self._onset_due[rows])
         # An own key may be struck again within the step.
-        onsets = ((heard > on_the_way[:, :-1]) & wanted[:, None]).sum(axis=1)
-        again = np.maximum(onsets - begins, 0)
+        onsets = ((heard > is_sounding[:, :-1]) & target[:, None]).sum(axis=1)
+        repeats = np.maximum(onsets - begins, 0)
         any_sound = np.logical_or.reduce(heard, axis=1)
-        silent, so_far = self._silence(heard, any_sound, before)
-        unheard = any_sound & ~sounded & (so_far < BOUNCE) & wanted & ~onset_wrong
-        brushed = any_sound & self._wrong[rows] & ~sounding & ~sounded
+        silent, silent_before = self._silence(heard, any_sound, before)
+        unheard = any_sound & ~sounding_before & (silent_before < BOUNCE) & target & ~onset_wrong
+        brushed = any_sound & self._wrong[rows] & ~sounding & ~sounding_before
         depth = np.maximum(self._factor[rows] * key_paths[:, -1] + self._offset[rows], 0.0)
         depth[is_lost | is_given_up] = 0.0
-        struck_wrong = wrong_onsets + again + unheard
+        struck_wrong = wrong_onsets + repeats + unheard
         costs = _WRONG_KEY * wrong + _WRONG_ONSET * struck_wrong + _BRUSHED * brushed
         costs += _DEPTH * (depth * depth)
-        mistakes = (wrong & self._mistakes[rows]) + brushed + again + unheard
-        mistakes += wrong_onsets & begins & wanted
-        wrong_notes = brushed + again + unheard
+        mistakes = (wrong & self._mistakes[rows]) + brushed + repeats + unheard
+        mistakes += wrong_onsets & begins & target
+        wrong_notes = brushed + repeats + unheard
         wrong_notes += wrong_onsets & (begins | self._held[rows]) & ~is_given_up
         counts = wrong_notes.sum(axis=1).tolist()
         after = map(KeyStates, sounding, lost[1:], given_up[1:], silent, costs, counts)
         return costs, mistakes.sum(axis=1), list(after)
 
     def _silence(self, heard: Mask, any_sound: Mask, before: KeyStates) -> tuple[Array, Array]:
-        """For how long keys have been silent after each of L steps, and before they sounded in it.
+        """Silence (L, K) of keys after each step, and before their onset in it [s].
 
-        Both are (L, K) [s]. Keys are `heard` (L, S, K) after each physics step, and `any_sound`
-        (L, K) is whether they are in a step.
+        `heard` (L, S, K) is whether keys sound after each physics step, and
+        `any_sound` (L, K) whether they do in a step.
         """
         substep = self._dt / heard.shape[1]
         silent = substep * heard[:, ::-1].argmax(axis=1)
@@ -172,9 +173,9 @@ class HorizonCost:
         return silent, start + substep * heard.argmax(axis=1)
 
     def by_finger(self, of_keys: Array, fingertips: Array) -> Array:
-        """The cost (L, F) of each of the first L steps, by finger.
+        """Cost (L, F) of each of the first L steps, by finger.
 
-        The cost of a key goes to the finger that should press it, or to the nearest one.
+        The finger that should press a key pays for it, or else the nearest one.
 
         Args:
             of_keys: (L, K) the costs of the keys.
@@ -186,35 +187,35 @@ class HorizonCost:
         step, key = np.nonzero(of_keys)
         offset = fingertips[step] - self._centre[key, None]
         nearest = np.hypot(offset[..., 1], offset[..., 2]).argmin(axis=1)
-        finger = np.where(self._wanted[step, key], self._finger[step, key], nearest)
+        finger = np.where(self._target[step, key], self._finger[step, key], nearest)
         np.add.at(costs, (step, finger), of_keys[step, key])
         return costs
 
     def fingertip_errors(self, fingertips: Array) -> tuple[Array, Array]:
-        """(H, F, 3) targets less `fingertips` (H, F, 3) [m], and (H, F) weights of these errors.
+        """Targets less `fingertips` (H, F, 3) [m], and (H, F) weights of these errors.
 
-        The weight of a finger that plays is 1, and more at the end of the horizon.
+        The weight of a playing finger is 1, and more at the end of the horizon.
         """
         return self._fingertips - fingertips, self._cost_weight / TIP_WEIGHT
 
     def errors_by_sound(self, fingertips: Array, key_paths: Array) -> tuple[Array, Array]:
-        """Fingertip errors, clipped, with targets that are moved where a key sounded wrong.
+        """Fingertip errors, clipped, after corrections of the targets by what sounded.
 
-        A target is deeper where a key should have sounded and did not, unless its note was lost
-        before. Where a key sounded that should not have, a fingertip that came down on it should be
-        higher, and one that presses its own key beside it farther away. Returns (H, F, 3) errors
-        [m] and (H, F) weights, 1 for fingers that play.
+        The target for a key that should have sounded and did not is deeper, unless its note was
+        lost before. If a key sounded that should not have, the target of a fingertip that came down
+        on it is higher, and that of a fingertip on the key beside it farther away. Returns errors
+        (H, F, 3) [m] and weights (H, F), 1 for playing fingers.
 
         Args:
             fingertips: (H, F, 3) after each step [m].
             key_paths: (H, S + 1, K) before each step and after each of its physics steps [rad].
         """
-        on_the_way = key_paths >= self._sounds_from
+        is_sounding = key_paths >= self._sounds_from
         error, weight = clipped(self._fingertips - fingertips), self._weight / TIP_WEIGHT
-        self._move_down(error, on_the_way[:, -1])
-        step, key = np.nonzero(self._wrong & on_the_way[:, 1:].any(axis=1))
-        finger, over = self._nearest(fingertips[step], key)
-        step, key, finger = step[over], key[over], finger[over]
+        self._move_down(error, is_sounding[:, -1])
+        step, key = np.nonzero(self._wrong & is_sounding[:, 1:].any(axis=1))
+        finger, is_over = self._nearest(fingertips[step], key)
+        step, key, finger = step[is_over], key[is_over], finger[is_over]
         presses = np.zeros(weight.shape, bool)  # in this step or the next
         held_step, held_key = np.nonzero(self._held)
         presses[held_step, self._finger[held_step, held_key]] = True
@@ -223,18 +224,18 @@ class HorizonCost:
         side = np.sign(self._fingertips[step, finger, 1] - self._centre[key, 1])
         high = np.zeros(weight.shape, bool)
         for earlier in (0, 1):  # the finger has come too low, or too near, the step before
-            then = np.maximum(step - earlier, 0)
-            error[then[aside], finger[aside], 1] += _ASIDE * side[aside]
-            weight[then[aside], finger[aside]] = 1.0
-            high[then[~aside], finger[~aside]] = True
+            row = np.maximum(step - earlier, 0)
+            error[row[aside], finger[aside], 1] += _ASIDE * side[aside]
+            weight[row[aside], finger[aside]] = 1.0
+            high[row[~aside], finger[~aside]] = True
         error[high, 2] += _HIGHER
         weight[high] = 1.0
         return clipped(error), weight
 
     def _move_down(self, error: Array, sounding: Mask) -> None:
-        """Move targets in `error` (H, F, 3) down whose keys (H, K) should sound, and are not lost.
+        """Move targets in `error` (H, F, 3) down for keys (H, K) that should be sounding.
 
-        Once a note is lost, only the first step counts.
+        Of a lost note, only the first step counts.
         """
         silent, lost = self._held & ~sounding, np.zeros(sounding.shape[1], bool)
         for k, late in enumerate(self._late):
@@ -243,13 +244,13 @@ class HorizonCost:
             lost |= late & ~sounding[k]
         step, key = np.nonzero(silent)
         finger = self._finger[step, key]
-        over = np.hypot(*error[step, finger, :2].T) < _OVER_ITS_KEY
-        error[step[over], finger[over], 2] -= _DEEPER
+        is_over = np.hypot(*error[step, finger, :2].T) < _OVER_ITS_KEY
+        error[step[is_over], finger[is_over], 2] -= _DEEPER
 
     def _nearest(self, fingertips: Array, key: NDArray[np.intp]) -> tuple[NDArray[np.intp], Mask]:
-        """The fingers (N,) nearest to keys (N,), and whether they are over them.
+        """Fingers (N,) nearest to keys (N,), and whether they are over them.
 
-        Their hand has its `fingertips` at (N, F, 3) [m].
+        The hand of each has its `fingertips` at (N, F, 3) [m].
         """
         beside = np.abs(fingertips[..., :2] - self._centre[key, None, :2])
         beside[..., 0] = np.maximum(beside[..., 0] - self._half_size[key, None, 0], 0.0)
@@ -258,9 +259,10 @@ class HorizonCost:
 
 
 def _lost_notes(late: Mask, sounding: Mask, before: KeyStates) -> tuple[Mask, Mask]:
-    """Own keys whose notes are lost, and given up, before L steps and after each (L + 1, K).
+    """Own keys (L + 1, K) with lost notes, and with notes given up, before and after each step.
 
-    Notes are `late` (L, K) that would be struck too late, and keys `sounding` (L, K) after a step.
+    `late` (L, K) are keys whose notes would now be struck too late, and `sounding` (L, K) keys
+    sound after a step.
     """
     given_up = np.concatenate([before.given_up[None], late & ~sounding])
     given_up = np.logical_and.accumulate(given_up)
@@ -272,8 +274,8 @@ def _lost_notes(late: Mask, sounding: Mask, before: KeyStates) -> tuple[Mask, Ma
 
 
 def _goes_on(goals: HandGoals, steps: NDArray[np.intp], keys: slice) -> Mask:
-    """Whether own keys (H, K) go on for long enough, in consecutive steps, to be struck late."""
-    more = steps_in(_WORTH_STRIKING, goals.dt)
-    ahead = goals.keys[steps[0] : steps[-1] + 1 + more, keys]
-    ahead = np.pad(ahead, ((0, len(steps) + more - len(ahead)), (0, 0)))  # then the song is over
-    return np.asarray(sliding_window_view(ahead, more + 1, axis=0).all(axis=-1))
+    """Whether own keys (H, K) go on for long enough to be struck late, in consecutive steps."""
+    count = steps_in(_WORTH_STRIKING, goals.dt)
+    ahead = goals.keys[steps[0] : steps[-1] + 1 + count, keys]
+    ahead = np.pad(ahead, ((0, len(steps) + count - len(ahead)), (0, 0)))  # the end of the song
+    return np.asarray(sliding_window_view(ahead, count + 1, axis=0).all(axis=-1))

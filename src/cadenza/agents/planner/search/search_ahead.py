@@ -1,10 +1,10 @@
 """The search for one hand's controls, a window ahead and with random restarts.
 
-The hand plays ahead in its own model, half a second and then another. Where notes go wrong in the
-first, it goes back and searches again with other random numbers; what costs least over both is
-kept. As the model moves nearly as the whole scene does, the controls are then played as they were
-found, with feedback to where the hand was in the model. Where it does not, because the hands touch
-or something pushes them, the hand goes on step by step.
+The hand plays two windows of half a second ahead in its own model. If notes go wrong in the first,
+it goes back and searches again with other random numbers, and the cheapest of these branches is
+kept. Its controls are then played in the scene, with feedback to the states of the model, which
+moves nearly as the whole scene does. If it does not, because the hands touch or something pushes
+them, the hand goes on step by step.
 """
 
 from collections import deque
@@ -25,12 +25,12 @@ from cadenza.scene.scene import HandAlone
 from cadenza.scene.servos import servos_of
 
 _WINDOW = 0.5  # [s], that of a rehearsal
-RESTARTS = 3  # the most restarts, one after the other
+RESTARTS = 3  # maximum restarts in a row
 RESTARTS_PER_WINDOW = 0.5
-"""What a hand may restart in the mean, which bounds its time; what it saves is for later ones."""
+"""Mean number of restarts, which bounds the time; unused ones are saved for later windows."""
 _WRONG_NOTE = 3.0  # cost of a wrong note beyond that of its keys and onsets
 _MAX_DRIFT = 0.01  # [m, rad] between the model and the scene up to which controls are played
-_MAX_WAIT = 8  # windows that a hand plays step by step at most before it plays ahead again
+_MAX_WAIT = 8  # maximum windows that a hand plays step by step before it plays ahead again
 
 
 class HandState(NamedTuple):
@@ -43,7 +43,7 @@ class HandState(NamedTuple):
 
 
 class WindowSearch(Protocol):
-    """A search that finds controls of one hand window by window, here or in another process."""
+    """A search for controls of one hand window by window, in this or another process."""
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """Continue from `step` on with a longer plan."""
@@ -69,7 +69,7 @@ class _Branch(NamedTuple):
 
 
 class RestartingSearch:
-    """A `WindowSearch` that restarts where notes go wrong.
+    """A `WindowSearch` that restarts if notes go wrong.
 
     Attributes:
         search: the search step by step.
@@ -78,13 +78,13 @@ class RestartingSearch:
     def __init__(self, search: HandSearch, dt: float) -> None:
         """Take over a search that has not begun, of a hand in control steps of `dt` [s]."""
         self.search, self._window = search, steps_in(_WINDOW, dt)
-        self._second = list[SimulatedStep]()  # of the two windows that were found last
+        self._second = list[SimulatedStep]()  # of the last two windows
         self._is_ahead = False  # of the scene
-        self._affordable = float(RESTARTS)  # restarts
+        self._restarts_left = float(RESTARTS)
 
     @property
     def lookahead(self) -> int:
-        """Number of steps of the plan that are needed from the first step of the next window on."""
+        """Number of steps of the plan that are needed, from the next window on."""
         return self.search.lookahead + 2 * self._window
 
     def follow(self, plan: SongPlan, step: int) -> None:
@@ -97,7 +97,7 @@ class RestartingSearch:
 
     def act(self, state: HandState) -> Array:
         if self._is_ahead:
-            self._is_ahead, self._second, self._affordable = False, [], 0.0
+            self._is_ahead, self._second, self._restarts_left = False, [], 0.0
             self.search.go_back(state.step)
         return self.search.act(*state[1:])
 
@@ -112,9 +112,9 @@ class RestartingSearch:
     def next_window(self) -> list[PlayedStep]:
         branch = self._play(self._second, np.inf)
         assert branch is not None
-        self._affordable = min(self._affordable + RESTARTS_PER_WINDOW, RESTARTS)
-        while branch.wrong_notes and self._affordable >= 1.0:
-            self._affordable -= 1.0
+        self._restarts_left = min(self._restarts_left + RESTARTS_PER_WINDOW, RESTARTS)
+        while branch.wrong_notes and self._restarts_left >= 1.0:
+            self._restarts_left -= 1.0
             self.search.restore(self._start)
             branch = self._play([], branch.cost) or branch
         self.search.restore(branch.end)
@@ -123,7 +123,7 @@ class RestartingSearch:
         return [step.played for step in branch.steps[: self._window]]
 
     def _play(self, played: Sequence[SimulatedStep], limit: float) -> _Branch | None:
-        """Play two windows; some of the first may have been `played`. None if they cost `limit`."""
+        """Play two windows, of which some steps are `played`; None if they cost `limit` or more."""
         horizon = self.search.cost(self._start, 2 * self._window)
         steps, middle = list(played), self._middle
         keys, cost, wrong_notes = horizon.start, 0.0, 0
@@ -133,8 +133,8 @@ class RestartingSearch:
                     middle = self.search.save()
                 steps.append(self.search.play())
             path, fingertips = steps[k].key_path[None], steps[k].fingertips[None]
-            [(more, _, keys)] = horizon.costs(k, path, fingertips, keys)
-            cost += more + _WRONG_NOTE * keys.wrong_notes
+            [(step_cost, _, keys)] = horizon.costs(k, path, fingertips, keys)
+            cost += step_cost + _WRONG_NOTE * keys.wrong_notes
             wrong_notes += keys.wrong_notes * (k < self._window)
             if cost >= limit:
                 return None
@@ -142,16 +142,16 @@ class RestartingSearch:
 
 
 class SearchAhead:
-    """The controls of one hand in the scene, found a window ahead of where that is."""
+    """The controls of one hand in the scene, found a window ahead."""
 
     def __init__(self, windows: WindowSearch, plan: SongPlan, hand: HandAlone, dt: float) -> None:
-        """Play what `windows` finds for a hand of a plan, in control steps of `dt` [s]."""
+        """Play the controls of `windows` for a hand of a plan, in control steps of `dt` [s]."""
         self._windows, self._window = windows, steps_in(_WINDOW, dt)
         self._servos, self._among_all = servos_of(hand.scene), hand.servos
         self._max_wait = _MAX_WAIT * self._window
-        self._found = deque[PlayedStep]()
-        self._begun = False  # whether windows are being found
-        self._one_by_one, self._wait = 0, self._window  # steps still to be played so, and next time
+        self._queue = deque[PlayedStep]()
+        self._is_searching = False  # for windows
+        self._one_by_one, self._wait = 0, self._window  # steps left to play one by one; next time
         self._tracking = plan.nominal.tracking.of(hand.servos)
 
     def follow(self, plan: SongPlan, step: int) -> None:
@@ -161,26 +161,26 @@ class SearchAhead:
 
     def act(self, state: HandState) -> Array:
         """Controls (A,) of a step."""
-        is_through = self._begun and not self._found
-        if is_through:
-            self._found.extend(self._windows.next_window())
-        if self._found and np.abs(self._found[0].hand_qpos - state.hand_qpos).max() > _MAX_DRIFT:
-            self._found.clear()
-            self._begun = False
+        window_ends = self._is_searching and not self._queue
+        if window_ends:
+            self._queue.extend(self._windows.next_window())
+        if self._queue and np.abs(self._queue[0].hand_qpos - state.hand_qpos).max() > _MAX_DRIFT:
+            self._queue.clear()
+            self._is_searching = False
             self._one_by_one, self._wait = self._wait, min(2 * self._wait, self._max_wait)
-        elif is_through:
+        elif window_ends:
             self._wait = self._window
         if self._one_by_one:
             self._one_by_one -= 1
             return self._windows.act(state)
-        if not self._begun:
+        if not self._is_searching:
             self._windows.begin(state)
-            self._begun = True
-            self._found.extend(self._windows.next_window())
-        return self._tracked(state, self._found.popleft())
+            self._is_searching = True
+            self._queue.extend(self._windows.next_window())
+        return self._track(state, self._queue.popleft())
 
-    def _tracked(self, state: HandState, played: PlayedStep) -> Array:
-        """Controls (A,) of a step that was played, with feedback to where the hand was."""
+    def _track(self, state: HandState, played: PlayedStep) -> Array:
+        """Controls (A,) of a step that the model played, with feedback to its state."""
         drift = state.hand_qpos - played.hand_qpos, state.hand_qvel - played.hand_qvel
         feedback = self._tracking.gain[state.step] * self._servos.state(*drift)
         return self._servos.clip(played.ctrl - feedback.sum(axis=1))

@@ -1,9 +1,9 @@
-"""Refinement of strikes: controls that make keys sound in time, and as loud as they should.
+"""Refinement of strikes: controls with which keys sound in time, and as loud as they should.
 
 Each strike has two parameters: how much lower its fingertip is before the control step in which the
-key is to sound, and how much lower its control leads it in that step. Levenberg-Marquardt steps are
-taken for all strikes at once, which each rollout evaluates together. The Jacobian begins as that of
-the inverse model and is updated by Broyden's rule.
+key is to sound, and how much lower its control leads it in that step. Each rollout evaluates one
+Levenberg-Marquardt step of every strike. The Jacobian begins as that of the inverse model, and is
+updated by Broyden's rule.
 """
 
 from collections.abc import Callable
@@ -18,20 +18,21 @@ from cadenza.agents.planner.search.rollouts import Rollout
 from cadenza.agents.planner.search.strikes import TOLERANCE, UNIT, WEIGHT, HorizonStrikes
 from cadenza.scene.servos import Servos
 
-_MOST = 30.0  # squared error that counts, in units
+_MAX_SQUARED_ERROR = 30.0  # that counts, in units
 _MISSED = 50.0  # cost of a key that does not sound
-_FAULT = 3.0  # cost of a key or an onset that is wrong, as in `horizon_cost`
-_LOWER = np.array([0.001, 0.003])  # [m] where a key did not sound, more with each iteration
-_STEP = np.array([0.004, 0.008])  # [m] that a step changes the parameters at most
+_FAULT = 3.0  # cost of a wrong key or onset, as in `horizon_cost`
+_LOWER = np.array([0.001, 0.003])  # [m] where a key did not sound, times the iteration
+_MAX_STEP = np.array([0.004, 0.008])  # [m] of the parameters
 _RANGE = np.array([0.02, 0.04])  # [m] of the parameters
-_DAMPING = 1e3  # [1/m^2] of Levenberg and Marquardt, to begin with
-_MORE, _LESS, _LEAST = 3.0, 1 / 3, 0.3  # factors of the damping after a failure, a success; bound
-_STUCK = 20.0  # factor of the damping from which on steps are random too: contacts are not smooth
-_NOISE = np.array([0.0006, 0.002])  # [m] of them
-_PATIENCE = 3  # rollouts in vain, one after the other, after which it ends
+_DAMPING = 1e3  # [1/m^2] initial damping of Levenberg-Marquardt
+_INCREASE, _DECREASE = 3.0, 1 / 3  # factors of the damping after a failure and after a success
+_MIN_DAMPING = 0.3  # factor
+_STUCK = 20.0  # factor of the damping above which steps are random, too: contacts are not smooth
+_NOISE = np.array([0.0006, 0.002])  # [m] of random steps
+_PATIENCE = 3  # rollouts without progress after which it ends
 _THUMB = 0
-_WRIST = 0.5  # weight of the wrist in what a thumb does, compared with its own servos
-_BROYDEN = 0.5  # share of Broyden's update that is taken, as contacts are not smooth
+_WRIST = 0.5  # weight of the wrist in the motion of a thumb, beside its own servos
+_BROYDEN = 0.5  # share of Broyden's update, as contacts are not smooth
 
 
 class Refined(NamedTuple):
@@ -43,10 +44,10 @@ class Refined(NamedTuple):
 
 
 class StrikeRefinement:
-    """Refines the strikes of one hand."""
+    """Refinement of the strikes of one hand."""
 
     def __init__(self, servos: Servos, model: StrikeModel) -> None:
-        """Takes the servos of the hand, and the model by which strikes are planned."""
+        """Take the servos of the hand, and the model by which strikes are planned."""
         self._servos, self._model = servos, model
         lag = servos.damping / servos.stiffness
         self._ease = servos.noise**2 * np.median(lag) / lag
@@ -62,9 +63,9 @@ class StrikeRefinement:
         roll_out: Callable[[Array], Rollout],
         iterations: int,
     ) -> Refined:
-        """Finds the cheapest controls with no more mistakes than `ctrl` (H, A), and their rollout.
+        """Find the cheapest controls with no more mistakes than `ctrl` (H, A), and their rollout.
 
-        `jacobian` gives derivatives (S, F, 3, A) of fingertips by servos at joints (S, J), and
+        `jacobian` returns derivatives (S, F, 3, A) of fingertips by servos at joints (S, J), and
         `roll_out` simulates controls (H, A), at most `iterations` times.
         """
         if not len(strikes):
@@ -78,32 +79,33 @@ class StrikeRefinement:
                 break
             last = iteration == iterations - 1
             in_vain += 1
-            tried = self._applied(ctrl, strikes, directions, search.best if last else search.next())
-            rollout, rollouts = roll_out(tried), rollouts + 1
+            lower = search.best if last else search.next()
+            candidate = self._lowered(ctrl, strikes, directions, lower)
+            rollout, rollouts = roll_out(candidate), rollouts + 1
             if rollout.cost < best[1].cost and rollout.mistakes <= best[1].mistakes:
-                best, in_vain = (tried, rollout), 0
+                best, in_vain = (candidate, rollout), 0
         return Refined(*best, rollouts)
 
     def _directions(self, strikes: HorizonStrikes, jacobian: Array) -> Array:
-        """(N, A) changes of servos that lower a strike's fingertip by 1 m: small, and soon done.
+        """(N, A) smallest changes of servos that lower a strike's fingertip by 1 m.
 
-        They are of the finger's own servos, and for a thumb of the wrist as well: a thumb has
-        little room downwards, and one of its servos is slow.
+        Slow servos change less. The servos are those of the finger, and for a thumb the wrist as
+        well: a thumb has little room downwards, and one of its servos is slow.
         """
         weight = self._ease * (self._servos.finger == strikes.finger[:, None])
         weight += self._wrist * (strikes.finger[:, None] == _THUMB)
         down = -jacobian[np.arange(len(strikes)), strikes.finger, 2]
         return down * weight / (down * down * weight).sum(axis=1, keepdims=True)
 
-    def _applied(
+    def _lowered(
         self, ctrl: Array, strikes: HorizonStrikes, directions: Array, lower: Array
     ) -> Array:
         """Controls (H, A) with fingertips lower by (N, 2) [m], before strikes and in them."""
-        changed, early = ctrl.copy(), strikes.step > 0
+        result, has_step_before = ctrl.copy(), strikes.step > 0
         before, during = (lower[:, i, None] * directions for i in range(2))
-        np.add.at(changed, strikes.step[early] - 1, before[early])
-        np.add.at(changed, strikes.step, during)
-        return self._servos.clip(changed)
+        np.add.at(result, strikes.step[has_step_before] - 1, before[has_step_before])
+        np.add.at(result, strikes.step, during)
+        return self._servos.clip(result)
 
 
 class _Search:
@@ -115,53 +117,53 @@ class _Search:
 
     def __init__(self, strikes: HorizonStrikes, model: StrikeModel) -> None:
         count = len(strikes)
-        time, speed = strikes.wanted[:, 0], 2.0 ** strikes.wanted[:, 1]
+        time, speed = strikes.target[:, 0], 2.0 ** strikes.target[:, 1]
         self._jacobian = model.response(time, speed * strikes.lever, strikes.sounds_at)
-        self._wanted, self._rng = strikes.wanted, np.random.default_rng(count)
-        self.best, self._tried = np.zeros((count, 2)), np.zeros((count, 2))
+        self._target, self._rng = strikes.target, np.random.default_rng(count)
+        self.best, self._trial = np.zeros((count, 2)), np.zeros((count, 2))
         self._outcome = np.full((count, 2), np.nan)
         self._cost, self._damping = np.full(count, np.inf), np.ones(count)
         self._iteration = 0
 
     def update(self, outcome: Array, faults: Array) -> None:
-        """Takes the outcome (N, 2) of what was tried last, times and log2 of speeds.
+        """Take the outcome (N, 2) of the last trial: times and log2 of speeds.
 
-        `faults` (N,) are the keys and onsets near the strikes that are wrong.
+        `faults` (N,) are the numbers of wrong keys and onsets near the strikes.
         """
         self._update_jacobian(outcome)
-        error = (outcome - self._wanted) / UNIT
-        cost = np.minimum(error * error, _MOST) @ WEIGHT
+        error = (outcome - self._target) / UNIT
+        cost = np.minimum(error * error, _MAX_SQUARED_ERROR) @ WEIGHT
         cost[np.isnan(cost)] = _MISSED
         cost += _FAULT * faults
         better = cost < self._cost
-        self.best[better], self._cost[better] = self._tried[better], cost[better]
+        self.best[better], self._cost[better] = self._trial[better], cost[better]
         self._outcome[better] = outcome[better]
         self._damping = np.where(
-            better, np.maximum(self._damping * _LESS, _LEAST), self._damping * _MORE
+            better, np.maximum(self._damping * _DECREASE, _MIN_DAMPING), self._damping * _INCREASE
         )
         self._iteration += 1
 
     def _update_jacobian(self, outcome: Array) -> None:
         """Broyden's rule, by the difference from the best so far."""
-        moved, changed = self._tried - self.best, outcome - self._outcome
-        length = (moved * moved).sum(axis=1)
-        known = (length > 0) & np.isfinite(changed).all(axis=1)
-        missing = changed - np.einsum("nij,nj->ni", self._jacobian, moved)
-        update = missing[known, :, None] * moved[known, None, :] / length[known, None, None]
-        self._jacobian[known] += _BROYDEN * update
+        step, change = self._trial - self.best, outcome - self._outcome
+        length = (step * step).sum(axis=1)
+        rows = (length > 0) & np.isfinite(change).all(axis=1)
+        residual = change - np.einsum("nij,nj->ni", self._jacobian, step)
+        update = residual[rows, :, None] * step[rows, None, :] / length[rows, None, None]
+        self._jacobian[rows] += _BROYDEN * update
 
     @property
     def done(self) -> bool:
-        """Whether what was tried last is good enough, and the best."""
-        return bool(self._good.all() and (self._tried == self.best).all())
+        """Whether the last trial is good enough, and the best."""
+        return bool(self._good.all() and (self._trial == self.best).all())
 
     @property
     def _good(self) -> NDArray[np.bool_]:
-        return (np.abs(self._outcome - self._wanted) < TOLERANCE).all(axis=1)
+        return (np.abs(self._outcome - self._target) < TOLERANCE).all(axis=1)
 
     def next(self) -> Array:
         """(N, 2) the parameters to try next."""
-        error = (self._outcome - self._wanted) / UNIT
+        error = (self._outcome - self._target) / UNIT
         missed = np.isnan(error).any(axis=1)
         scaled = self._jacobian / UNIT[:, None]
         damping = (self._damping * _DAMPING)[:, None, None] * np.eye(2)
@@ -170,8 +172,8 @@ class _Search:
         step = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
         noise = self._rng.normal(size=step.shape) * _NOISE
         step += np.where(self._damping[:, None] > _STUCK, noise, 0.0)
-        step = np.clip(step, -_STEP, _STEP)
+        step = np.clip(step, -_MAX_STEP, _MAX_STEP)
         step[missed] = self._iteration * _LOWER
         step[self._good] = 0.0
-        self._tried = np.clip(self.best + step, -_RANGE, _RANGE)
-        return self._tried
+        self._trial = np.clip(self.best + step, -_RANGE, _RANGE)
+        return self._trial

@@ -1,4 +1,4 @@
-"""Strikes within the look-ahead horizon of a hand: when, and how fast, its keys begin to sound."""
+"""Timed strikes within the horizon of a hand: when, and how fast, its keys begin to sound."""
 
 from collections.abc import Sequence
 
@@ -14,21 +14,20 @@ from cadenza.sim.key_crossings import Crossings, key_crossings
 UNIT = np.array([0.008, 0.4])
 """The errors that count as 1: of the time of an onset [s], and of the speed of its key [octaves].
 
-Speed counts by its logarithm, as it is heard."""
+Speed counts by its logarithm, as in hearing."""
 WEIGHT = np.array([1.0, 1.5])  # the cost of these errors, squared
 TOLERANCE = np.array([0.003, 0.15])  # the errors that are good enough, hardly audible [s, octaves]
-_LARGE = 2.0  # error beyond which the cost grows by 1 for 1: a wrong onset costs anyway
+_LARGE = 2.0  # error beyond which the cost grows linearly: a wrong onset has another cost, too
 _NOT_STRUCK = np.array([8.0, 0.0])  # costs, as of an onset that is a control step of 50 ms late
-_AFTER = 3  # steps after that of a strike in which it may be at fault: its finger may bounce off
-_SILENT = BOUNCE + 0.002  # [s] before a key is struck again, to be heard: 2 ms are for rounding
-_MIN_SPEED = 0.05  # [rad/s] with which a key that hardly moves counts, for the logarithm
+_AFTER = 3  # steps after a strike in which it may still cause a fault, as its finger may bounce
+_MIN_SILENCE = BOUNCE + 0.002  # [s] before an audible repetition, with 2 ms for rounding
+_MIN_SPEED = 0.05  # [rad/s] of keys that hardly move, for the logarithm
 
 
 def strike_costs(outcome: Array, target: Array) -> Array:
     """Costs (N,) of strikes with outcomes (N, 2), by their targets (N, 2).
 
-    Both are times [s] and log2 of angular speeds [rad/s]. NaN is a key that did not begin to sound,
-    which is as late as can be.
+    Both are times [s] and log2 of angular speeds [rad/s]. NaN is a key that did not begin to sound.
     """
     error = np.abs(outcome - target) / UNIT
     costs = np.where(error < _LARGE, error * error, _LARGE**2 + error - _LARGE)
@@ -41,12 +40,12 @@ def as_heard(speed: Array) -> Array:
 
 
 class HorizonStrikes:
-    """The N strikes of a hand in H steps, as far as the plan holds their keys.
+    """The N strikes of a hand in H steps whose keys the plan holds.
 
     Attributes:
         step: (N,) the steps of the horizon in which they begin.
         finger: (N,) the fingers of the hand that strike.
-        wanted: (N, 2) the times in their steps [s], and log2 of the angular speeds [rad/s].
+        target: (N, 2) the times in their steps [s], and log2 of the angular speeds [rad/s].
         lever: (N,) from the hinges of the keys to where the fingers strike them [m].
         sounds_at: (N,) how deep the keys sound there [m].
     """
@@ -57,26 +56,26 @@ class HorizonStrikes:
         steps: NDArray[np.intp],
         keyboard: Keyboard,
         keys: slice,
-        struck: int | None = None,
+        num_steps: int | None = None,
         silent: Array | None = None,
     ) -> None:
         """Take the strikes of `goals` in consecutive steps (H,), of the K simulated keys.
 
-        If only the first steps count, `struck` is their number. `silent` (K,) is for how long keys
-        have been silent before the first step, infinite if it does not matter [s].
+        If only the first steps count, `num_steps` is their number. `silent` (K,) is the time for
+        which keys have been silent before the first step [s], infinite if it does not matter.
         """
         self._silent = silent
-        every, self._dt = goals.strikes, goals.dt
-        rows = np.arange(*np.searchsorted(every.step, [steps[0], steps[:struck][-1] + 1]))
-        rows = rows[goals.planned[every.step[rows], every.key[rows]]]
-        rows = rows[(every.key[rows] >= keys.start) & (every.key[rows] < keys.stop)]
+        strikes, self._dt = goals.strikes, goals.dt
+        rows = np.arange(*np.searchsorted(strikes.step, [steps[0], steps[:num_steps][-1] + 1]))
+        rows = rows[goals.planned[strikes.step[rows], strikes.key[rows]]]
+        rows = rows[(strikes.key[rows] >= keys.start) & (strikes.key[rows] < keys.stop)]
         self._all_sound_from = keyboard.sounds_from[keys]
         self._held = goals.keys[steps, keys] & goals.planned[steps, keys]
         self._wrong, self._onset_wrong = goals.wrong[steps, keys], goals.onset_wrong[steps, keys]
-        step, key = every.step[rows], every.key[rows]
+        step, key = strikes.step[rows], strikes.key[rows]
         self.step, self._key = step - steps[0], key - keys.start
         self.finger = goals.finger[step, key].astype(np.intp)
-        self.wanted = np.column_stack([every.time[rows], np.log2(every.speed[rows])])
+        self.target = np.column_stack([strikes.time[rows], np.log2(strikes.speed[rows])])
         self._sounds_from = keyboard.sounds_from[key]
         hinge = keyboard.centre[key, 0] - keyboard.half_size[key, 0]
         self.lever = goals.fingertips[step + 1, self.finger, 0] - hinge
@@ -97,14 +96,14 @@ class HorizonStrikes:
                 _crossings(key_path[:, self._key[row]], self._sounds_from[row], substep)
             )
             outcome[i] = onsets[0] if len(onsets) else np.nan
-        return float(strike_costs(outcome, self.wanted[rows]).sum())
+        return float(strike_costs(outcome, self.target[rows]).sum())
 
     def outcome(self, key_paths: Sequence[Array]) -> Array:
-        """Times and log2 of the speeds (N, 2) of all strikes, as `wanted`.
+        """Times and log2 of the speeds (N, 2) of all strikes, as in `target`.
 
-        Of the onsets from the step before to the step after, the nearest in time counts. The values
-        are NaN where there is none. A key that has been silent for too short a time to be heard
-        again counts as so much too early.
+        Of the onsets from the step before to the step after, the nearest in time counts; without
+        any, the values are NaN. If the key was silent for too short a time to be heard again, its
+        onset counts as so much too early.
         """
         outcome = np.full((len(self), 2), np.nan)
         for i, (step, key) in enumerate(zip(self.step, self._key, strict=True)):
@@ -116,33 +115,33 @@ class HorizonStrikes:
             crossings = _crossings(np.concatenate(parts), self._sounds_from[i], substep)
             onsets = _onsets(crossings)
             if len(onsets):
-                late = onsets[:, 0] - origin - self.wanted[i, 0]
+                late = onsets[:, 0] - origin - self.target[i, 0]
                 time, speed = onsets[np.abs(late).argmin()]
                 offsets = crossings.offsets.time
                 earlier = offsets[offsets < time].max(initial=self._silent_since(key, begin))
-                early = time - earlier - _SILENT
-                outcome[i] = min(time - origin, self.wanted[i, 0] + early), speed
+                early = time - earlier - _MIN_SILENCE
+                outcome[i] = min(time - origin, self.target[i, 0] + early), speed
         return outcome
 
     def _silent_since(self, key: int, step: int) -> float:
-        """When a key last ceased to sound before the first step, from a step on [s]."""
+        """Time of the last offset of a key before the horizon, from the beginning of `step` [s]."""
         silent = np.inf if self._silent is None else self._silent[key]
         return -float(silent) - step * self._dt
 
     def faults(self, key_paths: Sequence[Array]) -> Array:
-        """Wrong keys and wrong onsets (N,) while each strike may be at fault.
+        """Numbers (N,) of wrong keys and onsets that each strike may have caused.
 
-        That is from the step before it to some steps after it. A key of the plan that does not
-        sound at the end of a step is wrong there, and so is one that should not and does.
+        They are those from the step before it to some steps after it. A key is wrong if at the end
+        of a step it is silent against the plan, or sounds and should not.
         """
         steps = min(len(key_paths), len(self._held))
         sounding = np.array(key_paths[:steps]) >= self._all_sound_from  # (L, S + 1, K)
         onsets = np.count_nonzero(sounding[:, 1:] > sounding[:, :-1], axis=1)
         wrong = np.where(sounding[:, -1], self._wrong[:steps], self._held[:steps])
-        again = np.maximum(onsets - ~self._onset_wrong[:steps], 0)
-        until = np.pad(np.cumsum((wrong + again).sum(axis=1)), (1, 0))
+        wrong_onsets = np.maximum(onsets - ~self._onset_wrong[:steps], 0)
+        total = np.pad(np.cumsum((wrong + wrong_onsets).sum(axis=1)), (1, 0))
         last = np.minimum(self.step + _AFTER + 1, steps)
-        return until[last] - until[np.minimum(np.maximum(self.step - 1, 0), last)]
+        return total[last] - total[np.minimum(np.maximum(self.step - 1, 0), last)]
 
 
 def _crossings(key_path: Array, sounds_from: float, substep: float) -> Crossings:

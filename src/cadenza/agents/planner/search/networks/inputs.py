@@ -1,8 +1,8 @@
 """Inputs and outputs of the networks that correct a hand's plan.
 
 The inputs of a hand with A servos and F fingers are D numbers, in this order. All are relative to
-the hand and its plan, and a left hand is mirrored, so that what is learnt serves both hands
-everywhere on the keyboard.
+the hand and its plan, and a left hand is mirrored, so that networks serve both hands everywhere on
+the keyboard.
 
 - (4, A) planned postures 1, 2, 3 and 5 steps ahead, and (A,) the nominal controls, from the planned
   posture now
@@ -13,7 +13,7 @@ everywhere on the keyboard.
 - (A,) the output of the step before
 - (F, 6) depths of each finger's key and of two keys on either side, and whether its key is a goal
 - (F, 3) errors of fingertips from the plan now, and (F, 3) from the plan after the step
-- (F, 53) products of these errors with the cases that they are to be corrected in, see `_cases`
+- (F, 53) products of these errors with the cases in which they need correction, see `_cases`
 - (F, 5) the strike of each finger, if it comes soon, see `HandInputs._strikes_ahead`
 
 The outputs (A,) are corrections of the controls, see `Corrections`.
@@ -42,7 +42,7 @@ _HELD_STEPS = 6  # steps ahead for which an input says whether a finger holds a 
 _PRESS_INPUTS = 9 + _HELD_STEPS  # per finger, of its press
 _CASE_INPUTS = 53  # per finger, see `_cases`
 _STRIKE_INPUTS = 5  # per finger, of its strike
-_STRIKE_STEPS = 3  # in which a strike counts as soon: this one, and the two that follow
+_STRIKE_STEPS = 3  # in which a strike counts as soon: this step and the next two
 _NEIGHBOURS = np.array([-2, -1, 0, 1, 2])  # keys, from that of a finger
 _MAX_OUTPUT = 1.5  # in units of `Servos.correction`
 _MAX_ERROR = 4.0  # scaled errors are clipped here
@@ -62,14 +62,14 @@ _OFF_TARGET, _OVER_ITS_KEY, _HALF_DOWN, _LOW = 1.2, 0.5, 0.5, 0.3
 
 
 class Mirror(NamedTuple):
-    """Signs, 1 or -1, that make right hands of H hands, whose forearms do not roll."""
+    """Signs, 1 or -1, that map H hands to right hands; their forearms must not roll."""
 
     y: Array  # (H,) signs of positions along the keyboard
     servos: Array  # (H, A) signs of coordinates of servos
 
     @classmethod
     def of(cls, sides: Sequence[Side], alone: Scene) -> Mirror:
-        """The signs for hands on these sides, which are as the one that is `alone` in a scene."""
+        """The signs for hands on these sides; `alone` is a scene with one of them."""
         y, servos = np.array([1.0 if side == "right" else -1.0 for side in sides]), servos_of(alone)
         sign = np.ones((len(sides), len(servos.names)))
         sign[:, servos.along_keyboard] = y[:, None]
@@ -77,10 +77,10 @@ class Mirror(NamedTuple):
 
 
 class InputLayout(NamedTuple):
-    """The finger to which each of the D inputs of a hand belongs, and who needs it."""
+    """The finger of each of the D inputs of a hand, and which fingers need it."""
 
     finger: NDArray[np.intp]  # (D,) 0 for the thumb, or -1 for the whole hand
-    private: NDArray[np.bool_]  # (D,) whether the other fingers do not need it
+    private: NDArray[np.bool_]  # (D,) whether only this finger needs it
     previous: NDArray[np.bool_]  # (D,) whether it is an output of the step before
     # (F,) the inputs that are 1 if a finger strikes in the step, and otherwise 0
     striking: NDArray[np.intp]
@@ -95,7 +95,7 @@ class InputLayout(NamedTuple):
         parts += [(fingers, count, False) for count in (len(_NEIGHBOURS) + 1, 3, 3)]
         parts += [(fingers, count, True) for count in (_CASE_INPUTS, _STRIKE_INPUTS)]
         finger = [np.repeat(of, count) for of, count, _ in parts]
-        private = [np.full(len(of) * count, own) for of, count, own in parts]
+        private = [np.full(len(of) * count, is_private) for of, count, is_private in parts]
         previous = [np.full(len(of), i == correction) for i, of in enumerate(finger)]
         size = sum(map(len, finger))
         striking = np.arange(size - len(fingers) * _STRIKE_INPUTS, size, _STRIKE_INPUTS)
@@ -115,7 +115,7 @@ class HandInputs:
     def __init__(self, plan: SongPlan, sides: Sequence[Side], alone: Scene, first: int) -> None:
         """Compute the inputs that depend on the plan only, for all hands of its scene or one.
 
-        `alone` is a scene with one of these hands only.
+        `alone` is a scene with one of these hands.
         """
         self._mirror, self._first, scene = Mirror.of(sides, alone), first, plan.scene
         self._hands, self._keyboard = len(sides), alone.keyboard
@@ -134,18 +134,19 @@ class HandInputs:
         # (S, H F), (S, H F, 15); (S, H F, 4), (S, H F)
         self._key, self._presses = self._presses_ahead(presses, thumb, steps)
         self._strikes, self._on_key = self._strikes_ahead(presses, thumb, steps, dt)
-        by_hand = self._presses.reshape(len(steps), self._hands, -1)
-        planned = [self._postures(alone, steps), by_hand]
-        self._planned = np.concatenate(planned, axis=2, dtype=np.float32)
+        press_inputs = self._presses.reshape(len(steps), self._hands, -1)
+        parts = [self._postures(alone, steps), press_inputs]
+        self._planned = np.concatenate(parts, axis=2, dtype=np.float32)
 
     def _postures(self, alone: Scene, steps: NDArray[np.intp]) -> Array:
         """(S, H, 7 A) inputs about the planned posture of the hand."""
         ctrl, _, expected = self._tracking
-        sign, here = self._mirror.servos, expected[steps, :, :, 0]
+        sign, posture = self._mirror.servos, expected[steps, :, :, 0]
         last = len(ctrl)
         ahead = [expected[np.minimum(steps + far, last), :, :, 0] for far in _POSTURE_STEPS]
-        relative = [(there - here) * sign / _POSTURE_SCALE for there in (*ahead, ctrl[steps])]
-        in_place = here.copy()
+        targets = (*ahead, ctrl[steps])
+        relative = [(target - posture) * sign / _POSTURE_SCALE for target in targets]
+        in_place = posture.copy()
         in_place[..., servos_of(alone).along_keyboard] = 0.0  # the same everywhere
         velocities = expected[steps, :, :, 1] * sign / _VELOCITY_SCALE
         return np.concatenate([*relative, in_place, velocities], axis=2)
@@ -153,13 +154,12 @@ class HandInputs:
     def _presses_ahead(
         self, presses: list[Press], thumb: int, steps: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Array]:
-        """(S, H F) the keys that fingers press, or will press next, -1 for none.
+        """The current or next press of each finger: its key (S, H F), -1 for none, and its inputs.
 
-        And (S, H F, 15) the inputs about these presses: steps until it begins, and until it ends;
-        whether its key is black, and whether the hand jumps; whether the finger holds a key 1, 2,
-        ... 6 steps ahead; whether there is no press; the offset from the planned fingertip to the
-        middle of its key, in x, y and z, and how near the press is in time. `thumb` is the number
-        of the first of these fingers.
+        The inputs (S, H F, 15) are the steps until it begins, and until it ends; whether its key is
+        black, and whether the hand jumps; whether the finger holds a key 1, 2, ... 6 steps ahead;
+        whether there is no press; the offset from the planned fingertip to the middle of its key in
+        x, y and z; and how near the press is in time. `thumb` is the number of the first finger.
         """
         fingers = np.arange(len(self._sign))
         never = max([len(self._goal_keys) + _HELD_STEPS, *(p.last for p in presses)]) + 1
@@ -173,56 +173,56 @@ class HandInputs:
         begins, ends = finger * apart + first, finger * apart + last
         now = fingers * apart + steps[:, None]
         soon = now[..., None] + np.arange(1, _HELD_STEPS + 1)
-        which, at = ends.searchsorted(now, "right"), begins.searchsorted(soon, "right") - 1
-        inputs = np.zeros((*which.shape, _PRESS_INPUTS))
-        inputs[..., 4 : 4 + _HELD_STEPS] = (at >= 0) & (soon < ends[at])
-        key, over = keys[which], first[which] == never
-        to_begin = first[which] - steps[:, None]
+        row, held_row = ends.searchsorted(now, "right"), begins.searchsorted(soon, "right") - 1
+        inputs = np.zeros((*row.shape, _PRESS_INPUTS))
+        inputs[..., 4 : 4 + _HELD_STEPS] = (held_row >= 0) & (soon < ends[held_row])
+        key, has_none = keys[row], first[row] == never
+        to_begin = first[row] - steps[:, None]
         inputs[..., 0] = clip(to_begin, -FAR, FAR) / FAR
-        inputs[..., 1] = clip(last[which] - steps[:, None], 0, FAR) / FAR
-        inputs[..., 2], inputs[..., 3] = self._keyboard.is_black[key], jumps[which]
+        inputs[..., 1] = clip(last[row] - steps[:, None], 0, FAR) / FAR
+        inputs[..., 2], inputs[..., 3] = self._keyboard.is_black[key], jumps[row]
         near = clip(1 - to_begin / FAR, 0, 1)
         offset = (self._keyboard.centre[key] - self._tips[steps]) * self._sign / _KEY_OFFSET_SCALE
         inputs[..., 5 + _HELD_STEPS : 8 + _HELD_STEPS] = (
             clip(offset, -_MAX_KEY_OFFSET, _MAX_KEY_OFFSET) * (near > 0)[..., None]
         )
         inputs[..., 8 + _HELD_STEPS] = near
-        inputs[over] = 0.0
-        inputs[over, :2], inputs[over, 4 + _HELD_STEPS] = 1.0, 1.0
-        return np.where(over, -1, key), inputs
+        inputs[has_none] = 0.0
+        inputs[has_none, :2], inputs[has_none, 4 + _HELD_STEPS] = 1.0, 1.0
+        return np.where(has_none, -1, key), inputs
 
     def _strikes_ahead(
         self, presses: list[Press], thumb: int, steps: NDArray[np.intp], dt: float
     ) -> tuple[Array, Array]:
-        """(S, H F, 4) inputs about the strikes of fingers in this step and the two that follow.
+        """Inputs (S, H F, 4) of strikes in this step and the next two, and heights (S, H F).
 
-        Whether it is in this step, and whether in the next; when within its step, from -1 to 1; and
-        log2 of the angular speed of the key. All are 0 for a finger that does not strike so soon.
-        And (S, H F) heights of the fingertips on the keys that they strike [m].
+        The inputs are whether the strike is in this step, and whether in the next; its time within
+        the step, from -1 to 1; and log2 of the angular speed of the key. All are 0 for a finger
+        that does not strike so soon. The heights are those of fingertips on the keys that they
+        strike [m].
         """
         inputs = np.zeros((len(steps), len(self._sign), _STRIKE_INPUTS - 1))
         on_key = np.zeros(inputs.shape[:2])
-        struck = [(p.first - 1, p.finger - thumb, p.key, *p.strike) for p in presses if p.strike]
-        if not struck:
+        strikes = [(p.first - 1, p.finger - thumb, p.key, *p.strike) for p in presses if p.strike]
+        if not strikes:
             return inputs, on_key
-        rows, keyboard = np.array(struck).T, self._keyboard
-        step, finger, key = rows[:3].astype(np.intp)
-        how = np.stack([2 * rows[3] / dt - 1, np.log2(rows[4])], axis=1)
+        columns, keyboard = np.array(strikes).T, self._keyboard
+        step, finger, key = columns[:3].astype(np.intp)
+        time_and_speed = np.stack([2 * columns[3] / dt - 1, np.log2(columns[4])], axis=1)
         top = keyboard.centre[key, 2] + keyboard.half_size[key, 2] + self._radius[finger]
         for ahead in range(_STRIKE_STEPS)[::-1]:
             row = step - ahead - self._first
             inside = (row >= 0) & (row < len(steps))
-            there = row[inside], finger[inside]
-            inputs[there] = np.concatenate(
-                [np.tile([ahead == 0, ahead == 1], (len(how), 1)), how], axis=1
-            )[inside]
-            on_key[there] = top[inside]
+            is_soon = np.tile([ahead == 0, ahead == 1], (len(step), 1))
+            places = row[inside], finger[inside]
+            inputs[places] = np.concatenate([is_soon, time_and_speed], axis=1)[inside]
+            on_key[places] = top[inside]
         return inputs, on_key
 
     def at(
         self, step: int, posture: Array, previous: Array, tips: Array, key_qpos: Array
     ) -> Floats:
-        """(H, D) the inputs at a step of the song.
+        """Inputs (H, D) at a step of the song.
 
         Servos are in a `posture` (H, A, 2), fingertips at `tips` (H F, 3) [m] and keys at
         `key_qpos` (K,) [rad]; `previous` (H, A) are the outputs of the step before.
@@ -245,26 +245,26 @@ class HandInputs:
         return np.concatenate(parts, axis=1, dtype=np.float32)
 
     def _strikes_at(self, row: int, tips: Array) -> Array:
-        """(H F, 5) what is known about strikes, and how high fingertips are above their keys."""
+        """(H F, 5) inputs of strikes, with the heights of fingertips above their keys."""
         on_key = self._on_key[row]
         height = _scaled(tips[:, 2] - on_key, _HEIGHT_SCALE) * (on_key > 0)
         return np.concatenate([self._strikes[row], height[:, None]], axis=1)
 
     def _depths(self, row: int, step: int, key_qpos: Array) -> Array:
-        """(H F, 6) depths of a finger's key and of those beside it, and whether it is a goal."""
+        """(H F, 6) depths of a finger's key and of four beside it, and whether it is a goal."""
         key = self._key[row][:, None]
         beside = key + (_NEIGHBOURS * self._sign[:, 1:2]).astype(np.intp)
-        there = (key >= 0) & (beside >= 0) & (beside < len(key_qpos))
-        depths = np.where(there, (key_qpos / self._keyboard.travel)[beside * there], 0.0)
+        exists = (key >= 0) & (beside >= 0) & (beside < len(key_qpos))
+        depths = np.where(exists, (key_qpos / self._keyboard.travel)[beside * exists], 0.0)
         goal = self._goal_keys[step, np.maximum(key, 0)] & (key >= 0)
         return np.concatenate([depths, goal], axis=1)
 
 
 def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -> Array:
-    """(F, 53) products of errors and of the cases in which they are to be corrected.
+    """Products (F, 53) of errors and of the cases in which they need correction.
 
-    They follow from the other inputs, but from several at once: that a key is not quite down
-    matters if it is a goal; that a fingertip is off matters most in front of a black key.
+    They are functions of several other inputs: that a key is not quite down matters if it is a
+    goal; that a fingertip is off matters most in front of a black key.
 
     Args:
         presses: (F, 15) inputs about the presses.
@@ -274,7 +274,7 @@ def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -
     """
     black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD_STEPS]
     goal, lacking = depths[:, -1], clip(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
-    beside, beside_next = (np.hypot(some[:, 0], some[:, 1]) for some in (error_now, error_next))
+    beside, beside_next = (np.hypot(error[:, 0], error[:, 1]) for error in (error_now, error_next))
     low, is_off = clip(-error_now[:, 2], 0, _MAX_ERROR), beside > _OFF_TARGET
     too_high = goal * lacking
     cases_too_high = (1.0, beside < _OVER_ITS_KEY, black, lacking < _HALF_DOWN)
@@ -293,14 +293,14 @@ def _scaled(error: Array, scale: float) -> Array:
 
 
 class Corrections(NamedTuple):
-    """Turns the outputs of networks into corrections of the controls of H hands, and back."""
+    """The map from outputs of networks to corrections of the controls of H hands, and back."""
 
     sign: Array  # (H, A) 1, or -1 where a left hand is mirrored
     scale: Array  # (A,) corrections with an output of 1 [m, rad]
 
     @classmethod
     def of(cls, sides: Sequence[Side], alone: Scene) -> Corrections:
-        """Corrections of hands on these sides, which are as the one that is `alone` in a scene."""
+        """Corrections of hands on these sides; `alone` is a scene with one of them."""
         return cls(Mirror.of(sides, alone).servos, servos_of(alone).correction)
 
     def ctrl(self, output: Floats) -> Array:

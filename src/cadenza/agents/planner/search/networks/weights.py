@@ -22,9 +22,9 @@ NETWORKS = ("hand", "thumb", "fingers")
 STRIKING = ("striking thumb", "striking fingers")
 """The networks for the touch of fingers that strike, in files that have them."""
 _LAYERS = 3
-INPUT_LIMIT = 6.0  # normalised inputs are clipped here: beyond it, there was no training data
+INPUT_LIMIT = 6.0  # normalised inputs are clipped here, beyond which there was no training data
 CONSTANTS = np.array([0.0, 1.0], np.float32)
-"""Inputs that follow those of the hand, for networks of fingers that lack some of these."""
+"""Inputs that follow those of the hand, for fingers without some of these."""
 
 
 def _expected() -> dict[str, ArrayOf]:
@@ -51,7 +51,7 @@ class Network(NamedTuple):
     """
 
     inputs: Ids  # (M, I) the inputs of each part, among those of the hand and `CONSTANTS`
-    # (M, O) the servos of each part; of touches, the numbers among those of all fingers
+    # (M, O) the outputs of each part among those of the hand: servos, or touches of fingers
     servos: Ids
     mean: Floats  # (I,) the mean of the inputs in training
     # (I,) the standard deviation of the inputs in training, by which they are normalised
@@ -79,16 +79,16 @@ class Weights(NamedTuple):
 
     @classmethod
     def load(cls, path: Path) -> Weights:
-        """Reads the networks of a file.
+        """Read the networks of a file.
 
-        Raises CadenzaError if the file is not there, or is damaged.
+        Raises CadenzaError if the file is missing or damaged.
         """
         weights = cls.of(read_arrays(path, _expected()))
         (num_inputs, servos), networks, striking = weights
-        used = np.concatenate([network.inputs.ravel() for network in (*networks, *striking)])
-        moved = np.sort(np.concatenate([network.servos.ravel() for network in networks]))
-        inside = (used >= 0) & (used < num_inputs + len(CONSTANTS))
-        if not (inside.all() and np.array_equal(moved, np.arange(servos))):
+        inputs = np.concatenate([network.inputs.ravel() for network in (*networks, *striking)])
+        outputs = np.sort(np.concatenate([network.servos.ravel() for network in networks]))
+        inside = (inputs >= 0) & (inputs < num_inputs + len(CONSTANTS))
+        if not (inside.all() and np.array_equal(outputs, np.arange(servos))):
             raise CadenzaError(
                 f"{path}: its networks do not fit {num_inputs} inputs and {servos} servos; "
                 "fit them again with cadenza generalist clone"
@@ -97,14 +97,14 @@ class Weights(NamedTuple):
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Weights:
-        """The networks of `arrays`, the inverse of that property."""
+        """The networks of the property `arrays`."""
         num_inputs, servos = arrays["sizes"].tolist()
         networks = tuple(_network(arrays, of) for of in NETWORKS)
         striking = tuple(_network(arrays, of) for of in STRIKING if f"{of}:inputs" in arrays)
         return cls((num_inputs, servos), networks, striking)
 
     def save(self, path: Path) -> None:
-        """Writes the networks to a file, for `load`."""
+        """Write the networks to a file, for `load`."""
         with write_atomically(path) as file:
             np.savez(file, allow_pickle=False, **self.arrays)
 
@@ -112,8 +112,8 @@ class Weights(NamedTuple):
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """The arrays of a file, by name."""
         arrays: dict[str, NDArray[np.generic]] = {"sizes": np.array(self.sizes)}
-        every = *self.networks, *self.striking
-        for of, network in zip((*NETWORKS, *STRIKING), every, strict=False):
+        networks = *self.networks, *self.striking
+        for of, network in zip((*NETWORKS, *STRIKING), networks, strict=False):
             arrays[f"{of}:inputs"] = network.inputs.astype(np.int16)
             arrays[f"{of}:servos"] = network.servos.astype(np.int16)
             arrays[f"{of}:middle"], arrays[f"{of}:spread"] = network.mean, network.std
@@ -149,7 +149,7 @@ def _network(arrays: Mapping[str, NDArray[Any]], of: str) -> Network:
 
 
 def _outputs(networks: Sequence[Network], inputs: Floats, count: int) -> Floats:
-    """(O,) all outputs of networks, which are `count`, for inputs (D,), or (H, O) for (H, D)."""
+    """All `count` outputs (O,) of networks for inputs (D,), or (H, O) for (H, D)."""
     inputs, shape = np.atleast_2d(inputs), (*inputs.shape[:-1], count)
     inputs = np.concatenate([inputs, np.tile(CONSTANTS, (len(inputs), 1))], axis=1)
     outputs = np.zeros((len(inputs), count), np.float32)
