@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
 from benchmarks.arguments import one_or_more, parser_for
-from cadenza.agents.planner.plan.presses import presses_of, release_in_time
+from cadenza.agents.planner.plan.presses import presses_of
+from cadenza.agents.planner.plan.releases import release_in_time
 from cadenza.agents.planner.plan.rest_poses import forearm_places
 from cadenza.errors import errors_in_a_line
 from cadenza.fingering.search import COSTS, find_fingering

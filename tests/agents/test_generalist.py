@@ -16,8 +16,9 @@ from cadenza.agents.agent import Array
 from cadenza.agents.generalist import generalist
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.generalist.generalist import Generalist, RehearsedHand
+from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.generalist.receding_plan import RecedingPlanner
+from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner

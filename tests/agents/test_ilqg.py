@@ -14,14 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from begun import begun
 from cadenza.agents.agent import Agent, ZeroAgent
-from cadenza.agents.baselines.ilqg import (
-    ILQG,
-    FeedbackLaw,
-    ILQGPlanner,
-    Model,
-    backward_pass,
-    box_qp,
-)
+from cadenza.agents.baselines.control_limited_ddp import FeedbackLaw, Model, backward_pass, box_qp
+from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
 from cadenza.agents.planner.config import ILQGConfig
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError

@@ -20,8 +20,8 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice import practice as practice_of_hands
-from cadenza.agents.planner.practice.hand_practice import Perturbations
 from cadenza.agents.planner.practice.initial_trajectories import PlannedVariant
+from cadenza.agents.planner.practice.perturbations import Perturbations
 from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlanner
 from cadenza.agents.planner.practice.trajectory import WholeScene

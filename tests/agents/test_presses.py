@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.agents.planner.plan.fingertip_targets import targets_of
-from cadenza.agents.planner.plan.presses import Press, presses_of, release_in_time
+from cadenza.agents.planner.plan.presses import Press, presses_of
+from cadenza.agents.planner.plan.releases import release_in_time
 from cadenza.fingers import SIDES
 from cadenza.hands.hand import Hand
 from cadenza.hands.shadow import SHADOW

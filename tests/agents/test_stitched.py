@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.agents.agent import Agent
+from cadenza.agents.baselines.motions import KeyChange, Motions, changes_of, stitched
 from cadenza.agents.baselines.plan_follower import PlanFollower
-from cadenza.agents.baselines.stitched import KeyChange, Motions, Stitched, changes_of, stitched
+from cadenza.agents.baselines.stitched import Stitched
 from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError

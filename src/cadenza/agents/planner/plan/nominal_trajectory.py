@@ -29,7 +29,8 @@ from cadenza.agents.planner.plan.fingertip_targets import (
     targets_of,
 )
 from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, SolverOptions, solve_postures
-from cadenza.agents.planner.plan.presses import Press, presses_of, release_in_time
+from cadenza.agents.planner.plan.presses import Press, presses_of
+from cadenza.agents.planner.plan.releases import release_in_time
 from cadenza.agents.planner.plan.rest_poses import RestPoses, forearm_places
 from cadenza.agents.planner.plan.strike_model import NO_STRIKES, PlannedStrikes
 from cadenza.agents.planner.plan.tracking import Tracking, track
