@@ -17,6 +17,7 @@ from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.draw_ranges import DrawRanges
 from cadenza.tasks.piano_task import EpisodeStart, PianoTask
 from cadenza.tasks.randomization import Randomization
+from cadenza.tasks.registration import make_vector_env
 from cadenza.tasks.view import task_spec
 
 jax = pytest.importorskip("jax")
@@ -196,3 +197,9 @@ def test_randomized_worlds_move_as_on_the_cpu(scene):
         assert_allclose(state.reward, result.reward, atol=0.02)
     assert np.ptp(theirs.hand_qpos, axis=0).max() > 0.05
     cpu.close()
+
+
+@pytest.mark.parametrize("option", ["reward_terms", "pixels", "privileged", "num_threads"])
+def test_an_option_of_the_other_engine_is_called_so(option):
+    with pytest.raises(CadenzaError, match=f"^the engine warp has no {option}: choose"):
+        make_vector_env("warp", song=ONE_NOTE, **{option: None})

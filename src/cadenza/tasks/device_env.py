@@ -2,6 +2,7 @@
 
 import logging
 from functools import partial
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from cadenza.errors import CadenzaError, extra_packages, quoted
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.env import checked_seed, scores_of, state_space
+from cadenza.tasks.env import PianoVectorEnv, checked_seed, scores_of, state_space
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
 from cadenza.tasks.setups import configure
 
@@ -52,6 +53,11 @@ class DevicePianoVectorEnv(VectorEnv):
         simulation, `FunctionalPianoTask`. Raises CadenzaError if a song cannot be played, or an
         option makes no sense or is missing here.
         """
+        if options.get("autoreset_mode") == AutoresetMode.SAME_STEP:
+            del options["autoreset_mode"]
+        of_c = signature(PianoVectorEnv).parameters.keys()
+        if missing := sorted(options.keys() & of_c):
+            raise CadenzaError(f"the engine warp has no {', '.join(missing)}: choose the engine c")
         config, scene = configure(options, task, scene)
         self.task = FunctionalPianoTask(scores_of(song), config, scene, num_envs, make_physics)
         self.num_envs = num_envs

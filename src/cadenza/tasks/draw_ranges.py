@@ -109,9 +109,8 @@ class DrawRanges:
 
         Raises CadenzaError if something of it is on.
         """
-        for name in ON_CPU_ONLY:
-            if self._is_on(name):
-                raise CadenzaError(f"the engine warp has no {_PREFIX}{name}: choose the engine c")
+        if asked := [f"{_PREFIX}{name}" for name in ON_CPU_ONLY if self._is_on(name)]:
+            raise CadenzaError(f"the engine warp has no {', '.join(asked)}: choose the engine c")
 
     def _is_on(self, name: str) -> bool:
         """Whether a field of the configuration is not as by default."""
