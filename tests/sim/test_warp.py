@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cadenza.scene.randomization import shapes
+from cadenza.scene.randomization import POSE_FIELDS, shapes
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.protocol import HeldControls
 
@@ -19,6 +19,7 @@ POSITIONS = 1e-4  # [m, rad] by which single precision and keys that never sleep
 SPEEDS = 0.05  # [m/s, rad/s], where fingers meet keys
 TIMES = 1e-4  # [s] of onsets
 STEPS = 40
+FACTORS = 0.7, 1.4
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,10 @@ def test_randomized_worlds_with_late_controls(scene, ctrl):
     ours, theirs = WarpSimulation(scene, 2), MujocoSimulation(scene, 2)
     for env in range(2):
         rng = np.random.default_rng(env)
-        factors = {n: np.asarray(rng.uniform(0.7, 1.4, s)) for n, s in shapes(scene).items()}
+        factors = {
+            name: np.asarray(rng.uniform(*((-0.002, 0.002) if name in POSE_FIELDS else FACTORS), s))
+            for name, s in shapes(scene).items()
+        }
         for each in (ours, theirs):
             each.randomize(env, factors)
             each.reset([env], scene.hand_start[None])

@@ -51,6 +51,7 @@ class Data(NamedTuple):
     """A physical state without physics."""
 
     overflow: Any
+    path: Any = None
 
 
 class RecordedPhysics:
@@ -198,13 +199,45 @@ def on_device(state: State) -> State:
     return State._make(jax.numpy.asarray(values) for values in state)
 
 
-@pytest.mark.parametrize(
-    ("options", "what"),
-    [({"fingering": "transport"}, "fingering transport"), ({"random_stretch": 0.1}, "random_str")],
-)
-def test_says_what_it_lacks(options, what):
-    with pytest.raises(CadenzaError, match=f"no {what}"):
-        FunctionalPianoTask([ONE_NOTE], TaskConfig(**options), None, 1, RecordedPhysics)
+def test_says_what_it_lacks():
+    config = TaskConfig(fingering="transport")
+    with pytest.raises(CadenzaError, match="no fingering transport"):
+        FunctionalPianoTask([ONE_NOTE], config, None, 1, RecordedPhysics)
+
+
+def test_episodes_draw_tempo_and_pitch():
+    """Of each song as many variations, within the ranges, and none without them."""
+    scores = [ONE_NOTE, Score((Note(0.0, 4.0, 72),), title="a long one")]
+    config = TaskConfig(random_pitch_shift=3, random_stretch=0.5, initial_buffer_time=0.0)
+    task = FunctionalPianoTask(scores, config, None, 64, StillPhysics)
+    episodes, _ = task.begin(jax.random.key(0))
+    state, songs = task.reset(jax.random.key(0)), np.asarray(episodes.song)
+    goal, steps = np.asarray(task.songs.goal)[songs], np.asarray(task.songs.num_steps)[songs]
+    pitches = goal[..., :-1].any(axis=1).argmax(axis=1) + task.scene.keyboard.pitches[0]
+    is_long = pitches > 66
+    for drawn, around in ((pitches[~is_long], 60), (pitches[is_long], 72)):
+        assert set(drawn) <= set(range(around - 3, around + 4))
+        assert len(set(drawn)) >= 5
+    assert 40 <= steps[is_long].min() < 60 < 100 < steps[is_long].max() <= 122
+    assert set(np.asarray(state.info["song"]).tolist()) == {0, 1}
+
+
+def test_terms_of_the_reward_of_ones_own():
+    """They are compiled; one of another shape is refused."""
+    terms = {"still": lambda outcome: -abs(outcome.ctrl[:, 0])}
+    task = FunctionalPianoTask([ONE_NOTE], None, None, 2, StillPhysics, terms)
+    state = task.step(task.reset(jax.random.key(0)), np.stack([np.zeros(39), np.ones(39)]))
+    high = task.spec.scale_action(np.ones(39))[0]
+    assert_allclose(state.metrics["reward/still"][1], -abs(high), rtol=1e-6)
+    plain = FunctionalPianoTask([ONE_NOTE], None, None, 2, StillPhysics)
+    without = plain.step(plain.reset(jax.random.key(0)), np.stack([np.zeros(39), np.ones(39)]))
+    assert_allclose(
+        state.reward - without.reward, state.metrics["reward/still"], rtol=1e-5, atol=1e-6
+    )
+    wrong = {"one": lambda outcome: outcome.ctrl.sum()}
+    task = FunctionalPianoTask([ONE_NOTE], None, None, 2, StillPhysics, wrong)
+    with pytest.raises(CadenzaError, match=r"reward term 'one' returned values of shape \(\)"):
+        task.reset(jax.random.key(0))
 
 
 def test_gymnasium_makes_environments_on_the_device():

@@ -25,11 +25,9 @@ from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
 from cadenza.files import read_json
 from cadenza.scene.randomization import POSE_FIELDS, SCALED_FIELDS
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
-from cadenza.tasks import robots
-from cadenza.tasks.draw_ranges import DrawRanges
 from cadenza.tasks.env import PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
 from watched import watched
@@ -499,25 +497,6 @@ def test_profiles_are_setups_that_play(name):
     _, info = env.reset(seed=0)
     assert np.isfinite(env.step(env.action_space.sample())[0]).all()
     assert info["randomization/latency"] > 0
-
-
-def test_the_device_refuses_what_it_does_not_have():
-    with pytest.raises(CadenzaError, match=r"engine warp has no randomization\.drift: choose"):
-        PianoTask(
-            [TUNE],
-            TaskConfig(randomization=DomainRandomization(drift=0.1)),
-            SceneConfig(engine="warp"),
-            make_simulation=MujocoSimulation,
-        )
-
-
-def test_the_device_says_all_that_it_does_not_have_of_a_profile():
-    ranges = DrawRanges(robots.GENTLE, build_scene(), 0.05)
-    names = "key_sounding, gravity_tilt, backlash, observation_latency, touch_noise"
-    others = "joint_bias, slide_bias, touch_bias"
-    listed = ", ".join(f"randomization.{name}" for name in f"{names}, {others}".split(", "))
-    with pytest.raises(CadenzaError, match=f"^the engine warp has no {listed}: choose the engine"):
-        ranges.refuse_on_device()
 
 
 # Recordings and options

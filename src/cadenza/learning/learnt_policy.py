@@ -74,9 +74,9 @@ class LearntPolicy:
             vars(task.config) | vars(task.scene.config),
         )
         for option in options:
-            if here[option] != learnt[option]:
+            if option not in learnt or here[option] != learnt[option]:
                 raise CadenzaError(
-                    f"{name}: was trained with {option} {learnt[option]}, but here it is "
+                    f"{name}: was trained with {option} {learnt.get(option)}, but here it is "
                     f"{here[option]}; leave out that option, or train a new policy"
                 )
         if not sees_the_same:

@@ -108,8 +108,9 @@ class Path(NamedTuple):
     @classmethod
     def still(cls, state: State, length: int) -> Path:
         """A way of `length` states that are all the same."""
+        xp = state.hand_qpos.__array_namespace__()
         values = state.hand_qpos, state.hand_qvel, state.key_qpos, state.touch
-        return cls(*(np.repeat(v[:, None], length, axis=1) for v in values))
+        return cls(*(xp.repeat(v[:, None], length, axis=1) for v in values))
 
 
 class Simulation(Protocol):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cadenza.configs import whole_number
 from cadenza.errors import extra_packages, quoted
-from cadenza.scene.randomization import Factors, affected_fields, scaled_fields
+from cadenza.scene.randomization import KEY_SOUNDING, Factors, affected_fields, scaled_fields
 from cadenza.scene.scene import Scene
 from cadenza.sim.key_crossings import dense_key_events
 from cadenza.sim.mujoco_simulation import MujocoSimulation, physics_steps
@@ -43,6 +43,7 @@ _LOST = mjw.OverflowType.ALL & ~(mjw.OverflowType.ITERATIONS | mjw.OverflowType.
 """Overflows by which contacts or constraints are left out."""
 _DIVERGED = 1e10
 """The position or velocity from which on MuJoCo takes a simulation for diverged (mjMAXVAL)."""
+_CONTACTS = "contact_geoms", "contact_worlds", "num_contacts"  # what is told of contacts
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,8 @@ class Physics(NamedTuple):
     # (N,) int32, which buffers had no room for contacts since it was reset, bits of
     # `mujoco_warp.OverflowType`
     overflow: Any
+    # The way through the last step, a `Path` without the state before it; None if nobody asked
+    path: Any = None
 
 
 class WarpPhysics:
@@ -91,12 +94,23 @@ class WarpPhysics:
         watch_forearms: bool = False,
         buffers: Buffers | None = None,
         scaled: Collection[str] = (),
+        pushed: bool = False,
+        keeps_path: bool = False,
     ) -> None:
         """Allocate N worlds on JAX's device. The first step compiles for up to a minute or two.
 
-        The `buffers` are room for contacts, and each world has the quantities of these names
-        `scaled` by factors of its own, see `cadenza.scene.randomization.shapes`. For the others see
-        `MujocoSimulation`. Raises CadenzaError if a number makes no sense.
+        Args:
+            scene: as of `MujocoSimulation`, and so are the three after it.
+            num_envs: N.
+            control_timestep: time of a control step [s].
+            watch_forearms: whether contacts of forearms are told.
+            buffers: room for contacts.
+            scaled: each world has the quantities of these names scaled by factors of its own, see
+                `cadenza.scene.randomization.shapes`.
+            pushed: whether bodies are pushed.
+            keeps_path: whether states have the way through the last step.
+
+        Raises CadenzaError if a number makes no sense.
         """
         self.scene = scene
         self.num_envs = whole_number(num_envs, "num_envs", 1, MAX_WORLDS)
@@ -107,6 +121,7 @@ class WarpPhysics:
         self._velocities = _servo_velocities(scene.model)
         self._on_gpu = jax.default_backend() == "gpu"
         self._fields = affected_fields(scaled)
+        self._pushed, self._keeps_path = pushed, keeps_path
         self._simulate = self._make_simulate()
 
     def start(self, hand_qpos: Any) -> Physics:
@@ -116,7 +131,24 @@ class WarpPhysics:
         qpos = jnp.tile(rest, (self.num_envs, 1)).at[:, self.scene.hand_qpos].set(hand_qpos)
         still = jnp.zeros((self.num_envs, nv), jnp.float32)
         none = jnp.zeros(self.num_envs, jnp.int32)
-        return Physics(qpos, still, still, jnp.zeros(self.num_envs, bool), none)
+        at_rest = Physics(qpos, still, still, jnp.zeros(self.num_envs, bool), none)
+        if not self._keeps_path:
+            return at_rest
+        sensors = jnp.zeros((self.num_envs, self.scene.model.nsensordata), jnp.float32)
+        throughout = (jnp.repeat(v[:, None], self.num_substeps, 1) for v in (qpos, still, sensors))
+        return at_rest._replace(path=self._path(*throughout))
+
+    def _path(self, qpos: Any, qvel: Any, sensors: Any) -> Path:
+        """The way of hands and keys through worlds (N, S, ...) after each of S physics steps."""
+        hands = qpos[..., self.scene.hand_qpos], qvel[..., self.scene.hand_qvel]
+        return Path(*hands, qpos[..., self.scene.key_qpos], self._touch(sensors))
+
+    def _touch(self, sensors: Any) -> Any:
+        """(..., F) normal forces on the fingertips by the model's sensors, if it has some [N]."""
+        touch: Any = jnp.zeros((*sensors.shape[:-1], self.scene.fingers.count))
+        if not self.scene.config.touch:
+            return touch
+        return touch.at[..., self.scene.present_fingers].set(sensors)
 
     def step(
         self,
@@ -124,6 +156,8 @@ class WarpPhysics:
         ctrl: Any,
         held: HeldControls | None = None,
         models: Mapping[str, Any] | None = None,
+        force: Any = None,
+        depth: Any = 1.0,
     ) -> tuple[Physics, State]:
         """The worlds after a control step with controls (N, A), in actuator units.
 
@@ -133,6 +167,8 @@ class WarpPhysics:
             held: the controls until these arrive, if they are late.
             models: name of a field of `mujoco.MjModel` -> (N, ...), its values in each world; all
                 of `affected_fields(scaled)`.
+            force: (N, bodies, 3) forces that push bodies throughout the step, if any may [N].
+            depth: (N, K) the part of the nominal way after which each key sounds.
         """
         ctrl = jnp.asarray(ctrl, jnp.float32)
         path: Any = jnp.broadcast_to(ctrl, (self.num_substeps, *ctrl.shape))
@@ -140,36 +176,44 @@ class WarpPhysics:
             before = jnp.asarray(held.ctrl, jnp.float32)
             late = jnp.arange(self.num_substeps)[:, None] < held.substeps
             path = jnp.where(late[..., None], before, path)
-        fields = [jnp.asarray((models or {})[name], jnp.float32) for name in self._fields]
-        result = self._simulate(physics.qpos, physics.qvel, physics.warmstart, path, *fields)
-        qpos, qvel, warmstart, after, overflow, geoms, sites, force, sensors, *contacts = result
-        overflow = physics.overflow | (overflow & int(_LOST))
+        others = [jnp.asarray((models or {})[name], jnp.float32) for name in self._fields]
+        if self._pushed:
+            num_bodies = self.scene.model.nbody
+            pushes: Any = jnp.zeros((self.num_envs, num_bodies, 3)) if force is None else force
+            others.append(jnp.pad(pushes, ((0, 0), (0, 0), (0, 3))).astype(jnp.float32))
+        begin = physics.qpos, physics.qvel, physics.warmstart
+        result = dict(zip(self._outputs, self._simulate(*begin, path, *others), strict=True))
+        qpos, qvel, ways = result["qpos"], result["qvel"], result["qpos_path"]
+        overflow = physics.overflow | (result["overflow"] & int(_LOST))
         sound = (abs(qpos) < _DIVERGED).all(-1) & (abs(qvel) < _DIVERGED).all(-1)
         sound &= jnp.isfinite(path).all((0, -1))
         unstable = physics.unstable | ~sound | (overflow != 0)
         rest = self.start(jnp.asarray(self.scene.hand_start, jnp.float32))
-        reached = Physics(qpos, qvel, warmstart, unstable, overflow)
+        reached = Physics(qpos, qvel, result["warmstart"], unstable, overflow)
+        if self._keeps_path:
+            sensors = result.get("sensor_path", ways[..., :0])
+            way = self._path(ways, result["qvel_path"], sensors)
+            reached = reached._replace(path=way)
         kept = where(unstable, rest, reached)._replace(unstable=unstable, overflow=overflow)
         keys = self.scene.key_qpos
-        key_path: Any = jnp.concatenate([physics.qpos[:, None, keys], after], axis=1)
-        sounds_from = self.scene.keyboard.sounds_from
+        key_path: Any = jnp.concatenate([physics.qpos[:, None, keys], ways[..., keys]], axis=1)
+        sounds_from = (self.scene.keyboard.sounds_from * jnp.asarray(depth))[..., None, :]
         onset, offset, speed = dense_key_events(key_path, sounds_from, self._substep)
         num_fingers, there = self.scene.fingers.count, self.scene.present_fingers
         tips: Any = jnp.zeros((self.num_envs, num_fingers, 3))
-        touch: Any = jnp.zeros((self.num_envs, num_fingers))
         state = State(
             key_qpos=kept.qpos[:, keys],
-            key_xpos=geoms[:, self.scene.key_geoms],
+            key_xpos=result["geoms"][:, self.scene.key_geoms],
             key_onset=onset,
             key_offset=offset,
             key_speed=speed,
             hand_qpos=kept.qpos[:, self.scene.hand_qpos],
             hand_qvel=kept.qvel[:, self.scene.hand_qvel],
-            fingertip_xpos=tips.at[:, there].set(sites[:, self.scene.fingertip_sites]),
-            actuator_force=force,
+            fingertip_xpos=tips.at[:, there].set(result["sites"][:, self.scene.fingertip_sites]),
+            actuator_force=result["force"],
             actuator_velocity=kept.qvel @ self._velocities,
-            forearm_contact=self._forearms_touch(*contacts),
-            touch=touch.at[:, there].set(sensors) if self.scene.config.touch else touch,
+            forearm_contact=self._forearms_touch(*(result[n] for n in _CONTACTS if n in result)),
+            touch=self._touch(result["sensors"]),
             unstable=unstable,
         )
         numbers: dict[str, Any] = {
@@ -191,8 +235,7 @@ class WarpPhysics:
     def _make_simulate(self) -> Any:
         """The function from states and controls to what is simulated, which JAX can call."""
         num_envs, model = self.num_envs, _awake(self.scene.model)
-        keys, num_substeps = self.scene.key_qpos, self.num_substeps
-        watched, buffers = self._watch_forearms, self._buffers
+        num_substeps, watched, buffers = self.num_substeps, self._watch_forearms, self._buffers
         device = wp.get_device("cuda:0" if self._on_gpu else "cpu")
         with wp.ScopedDevice(device):
             m = mjw.put_model(model)
@@ -205,49 +248,65 @@ class WarpPhysics:
                 nccdmax=buffers.convex,
             )
 
+        num_inputs, pushed = len(self._fields) + self._pushed, self._pushed
+
         def simulate(qpos, qvel, warmstart, ctrl, *others):
-            fields, out = others[: len(self._fields)], others[len(self._fields) :]
-            for name, values in zip(self._fields, fields, strict=True):
+            given, out = others[:num_inputs], dict(zip(shapes, others[num_inputs:], strict=True))
+            for name, values in zip(self._fields, given, strict=False):
                 setattr(m, name, values)
+            if pushed:
+                wp.copy(d.xfrc_applied, given[-1])
             wp.copy(d.qpos, qpos)
             wp.copy(d.qvel, qvel)
             wp.copy(d.qacc_warmstart, warmstart)
             d.overflow.zero_()
-            path = out[3]
+            paths = {"qpos_path": d.qpos, "qvel_path": d.qvel, "sensor_path": d.sensordata}
             for substep in range(num_substeps):
                 wp.copy(d.ctrl, ctrl[substep])
                 mjw.step(m, d)
-                wp.copy(path[:, substep], d.qpos[:, keys])
+                for name in out.keys() & paths.keys():
+                    wp.copy(out[name][:, substep], paths[name])
             # Positions belong to the new state, forces to the step that led there.
             mjw.kinematics(m, d)
-            arrays = [d.qpos, d.qvel, d.qacc_warmstart, None, d.overflow, d.geom_xpos, d.site_xpos]
-            arrays += [d.actuator_force, d.sensordata]
+            reached = {"qpos": d.qpos, "qvel": d.qvel, "warmstart": d.qacc_warmstart}
+            reached |= {"overflow": d.overflow, "geoms": d.geom_xpos, "sites": d.site_xpos}
+            reached |= {"force": d.actuator_force, "sensors": d.sensordata}
             if watched:
                 mjw.collision(m, d)
-                arrays += [d.contact.geom, d.contact.worldid, d.nacon]
-            for to, values in zip(out, arrays, strict=True):
-                if values is not None:
-                    wp.copy(to, values)
+                told = d.contact.geom, d.contact.worldid, d.nacon
+                reached |= dict(zip(_CONTACTS, told, strict=True))
+            for name, values in reached.items():
+                wp.copy(out[name], values)
 
         states = "qpos", "qvel", "warmstart"
-        kinds: dict[str, Any] = {name: wp.array2d(dtype=float) for name in states}
+        kinds: dict[str, Any] = {f"{name}_before": wp.array2d(dtype=float) for name in states}
         kinds |= {"ctrl": wp.array3d(dtype=float)}
         kinds |= {name: wp.array2d(dtype=getattr(m, name).dtype) for name in self._fields}
+        if pushed:
+            kinds["push"] = wp.array2d(dtype=wp.spatial_vector)
+        sizes = {"qpos": model.nq, "qvel": model.nv, "warmstart": model.nv}
+        sizes |= {"force": model.nu, "sensors": model.nsensordata}
         shapes: dict[str, tuple[Any, tuple[int, ...]]] = {
-            "qpos_after": (wp.array2d(dtype=float), (num_envs, model.nq)),
-            "qvel_after": (wp.array2d(dtype=float), (num_envs, model.nv)),
-            "warmstart_after": (wp.array2d(dtype=float), (num_envs, model.nv)),
-            "path": (wp.array3d(dtype=float), (num_envs, num_substeps, keys.stop - keys.start)),
+            name: (wp.array2d(dtype=float), (num_envs, size)) for name, size in sizes.items()
+        }
+        shapes |= {
             "overflow": (wp.array(dtype=int), (num_envs,)),
             "geoms": (wp.array2d(dtype=wp.vec3), (num_envs, model.ngeom)),
             "sites": (wp.array2d(dtype=wp.vec3), (num_envs, model.nsite)),
-            "force": (wp.array2d(dtype=float), (num_envs, model.nu)),
-            "sensors": (wp.array2d(dtype=float), (num_envs, model.nsensordata)),
         }
+        ways = {"qpos_path": model.nq}
+        if self._keeps_path:
+            ways |= {"qvel_path": model.nv}
+        if self._keeps_path and model.nsensordata:
+            ways |= {"sensor_path": model.nsensordata}
+        for name, size in ways.items():
+            shapes[name] = wp.array3d(dtype=float), (num_envs, num_substeps, size)
         if watched:
-            shapes["geom"] = (wp.array(dtype=wp.vec2i), (d.naconmax,))
-            shapes["world"] = (wp.array(dtype=int), (d.naconmax,))
-            shapes["count"] = (wp.array(dtype=int), (1,))
+            geoms, worlds, count = _CONTACTS
+            shapes[geoms] = (wp.array(dtype=wp.vec2i), (d.naconmax,))
+            shapes[worlds] = (wp.array(dtype=int), (d.naconmax,))
+            shapes[count] = (wp.array(dtype=int), (1,))
+        self._outputs = tuple(shapes)
         return _callable(simulate, kinds, shapes, self._on_gpu)
 
 
@@ -317,12 +376,20 @@ class WarpSimulation:
         self._use(self._make())
         self._at_start = MujocoSimulation(scene, 1, control_timestep, 1, watch_forearms)
         self._models: dict[str, NDArray[np.float32]] = {}
+        self._others: dict[str, NDArray[np.float64]] = {}  # pushes, and depths of keys
         self._physics = self.physics.start(np.zeros(len(scene.hand_joint_names)))
         self.state = State.at_rest(scene, num_envs)
         self.reset(range(num_envs), np.zeros((num_envs, len(scene.hand_joint_names))))
 
     def _use(self, physics: WarpPhysics) -> None:
         self.physics, self._step = physics, jax.jit(physics.step)
+
+    def _use_also(self, **options: Any) -> None:
+        """Compile the physics anew, with more options of `WarpPhysics`."""
+        self._make = partial(self._make, **options)
+        self._use(self._make())
+        path = self.physics.start(self.state.hand_qpos).path
+        self._physics = self._physics._replace(path=path)
 
     def reset(self, env_ids: Sequence[int], hand_qpos: NDArray[np.float64]) -> None:
         start, chosen = np.array(self._physics.qpos[:, self.scene.hand_qpos]), list(env_ids)
@@ -338,16 +405,21 @@ class WarpSimulation:
         self.state = state
 
     def randomize(self, env_id: int, factors: Factors) -> None:
-        model = scaled_fields(self.scene, [factors])
-        if not self._models:  # all are randomized before they are stepped
-            self._use(self._make(scaled=factors))
-            num_envs = self.physics.num_envs
+        model, num_envs = scaled_fields(self.scene, [factors]), self.physics.num_envs
+        if model and not self._models:  # all are randomized before they are stepped
+            self._use_also(scaled=factors)
             self._models = {name: v.repeat(num_envs, axis=0) for name, v in model.items()}
         for name, (values,) in model.items():
             self._models[name][env_id] = values
+        if KEY_SOUNDING in factors:
+            nominal = np.ones((num_envs, self.scene.keyboard.num_keys))
+            self._others.setdefault("depth", nominal)[env_id] = factors[KEY_SOUNDING]
 
     def push(self, env_id: int, force: NDArray[np.float64]) -> None:
-        raise NotImplementedError  # tasks refuse what needs it
+        if "force" not in self._others:
+            self._use_also(pushed=True)
+            self._others["force"] = np.zeros((self.physics.num_envs, *force.shape))
+        self._others["force"][env_id] = force
 
     def step(
         self,
@@ -356,7 +428,13 @@ class WarpSimulation:
         held: HeldControls | None = None,
         path: Path | None = None,
     ) -> None:
-        physics, state = self._step(self._physics, ctrl, held, self._models)
+        if path is not None and self._physics.path is None:
+            self._use_also(keeps_path=True)
+        physics, state = self._step(self._physics, ctrl, held, self._models, **self._others)
+        if path is not None:
+            before = Path.still(self.state, 1)
+            for way, first, others in zip(path, before, physics.path, strict=True):
+                way[:] = np.concatenate([first, others], axis=1)
         mask = np.ones(len(ctrl), bool)
         if env_ids is not None:
             mask[:] = False

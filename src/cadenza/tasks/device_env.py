@@ -1,6 +1,7 @@
 """The task as Gymnasium's `VectorEnv`, whose arrays stay on the device."""
 
 import logging
+from collections.abc import Mapping
 from functools import partial
 from inspect import signature
 from typing import Any
@@ -15,6 +16,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoVectorEnv, checked_seed, scores_of, state_space
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
+from cadenza.tasks.reward import RewardTerm
 from cadenza.tasks.setups import configure
 
 with extra_packages("gpu", "the engine warp"):
@@ -45,13 +47,14 @@ class DevicePianoVectorEnv(VectorEnv):
         task: TaskConfig | None = None,
         scene: SceneConfig | None = None,
         make_physics: Any = None,
+        reward_terms: Mapping[str, RewardTerm] | None = None,
         **options: Any,
     ) -> None:
         """Make N environments of a song, or of songs that episodes are drawn from.
 
-        The options are fields of `TaskConfig` and `SceneConfig`; see `PianoVectorEnv` and, of the
-        simulation, `FunctionalPianoTask`. Raises CadenzaError if a song cannot be played, or an
-        option makes no sense or is missing here.
+        The options are fields of `TaskConfig` and `SceneConfig`; see `PianoVectorEnv`, and of the
+        simulation and the `reward_terms`, `FunctionalPianoTask`. Raises CadenzaError if a song
+        cannot be played, or an option makes no sense or is missing here.
         """
         if options.get("autoreset_mode") == AutoresetMode.SAME_STEP:
             del options["autoreset_mode"]
@@ -59,7 +62,9 @@ class DevicePianoVectorEnv(VectorEnv):
         if missing := sorted(options.keys() & of_c):
             raise CadenzaError(f"the engine warp has no {', '.join(missing)}: choose the engine c")
         config, scene = configure(options, task, scene)
-        self.task = FunctionalPianoTask(scores_of(song), config, scene, num_envs, make_physics)
+        self.task = FunctionalPianoTask(
+            scores_of(song), config, scene, num_envs, make_physics, reward_terms
+        )
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.render_mode = None

@@ -1,6 +1,7 @@
 """The ranges that domain randomization draws from, and its draws for an episode."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -47,11 +48,8 @@ _STREAMS = (
     *(*SERVO_RANGES, OBSERVATION_LATENCY, BIAS),
 )
 """What has a generator of its own, in an order on which all draws depend."""
-ON_CPU_ONLY = (
-    *(KEY_SOUNDING, GRAVITY_TILT, PUSH, *SERVO_RANGES, OBSERVATION_LATENCY),
-    *("touch_noise", "joint_bias", "slide_bias", "touch_bias", "drift", "robot"),
-)
-"""The fields that the engine warp does not have."""
+PUSHES = 1.0  # a second, on average
+MINUTE = 60.0  # [s] in which biases wander as far as `DomainRandomization.drift` says
 
 
 class DrawRanges:
@@ -67,6 +65,7 @@ class DrawRanges:
         observation_noise: (J + K + F,) standard deviations of noise on observed joints [m, rad],
             then on key states, then on touch [N].
         bias: (J + K + F,) those of what is off in a whole episode.
+        weight: (bodies,) the part of their weight that is compensated [N].
         has_latency: whether actions may be late.
         num_sent: how many actions are kept, so that even the latest arrives, and one before it.
     """
@@ -95,6 +94,8 @@ class DrawRanges:
             self.shapes[BIAS] = self.bias.shape
         if self._is_on(OBSERVATION_LATENCY):
             self.shapes[OBSERVATION_LATENCY] = ()
+        model = scene.model
+        self.weight = model.body_mass * model.body_gravcomp * model.opt.gravity[2]
         self.has_latency = bool(config.latency[1])
         self.num_sent = self.steps_of(config.latency[1]) // self.substeps + 2
 
@@ -103,14 +104,6 @@ class DrawRanges:
         counts = scene.keyboard.num_keys, scene.fingers.count
         joints = np.where(sliding(scene), slide, joint)
         return np.concatenate([joints, np.repeat([key, touch], counts)])
-
-    def refuse_on_device(self) -> None:
-        """Refuse what the engine warp does not have.
-
-        Raises CadenzaError if something of it is on.
-        """
-        if asked := [f"{_PREFIX}{name}" for name in ON_CPU_ONLY if self._is_on(name)]:
-            raise CadenzaError(f"the engine warp has no {', '.join(asked)}: choose the engine c")
 
     def _is_on(self, name: str) -> bool:
         """Whether a field of the configuration is not as by default."""
@@ -155,6 +148,33 @@ class DrawRanges:
         else:
             of_joints = servos_of(self.scene).of_joints
         return (start @ of_joints).clip(self.low, self.high)
+
+
+def moved_setpoints(ranges: DrawRanges, setpoint: Any, ctrl: Any, drawn: Mapping[str, Any]) -> Any:
+    """Where servos are sent by controls (N, A), with their limits of speed, dead band and backlash.
+
+    Args:
+        ranges: those of the servos.
+        setpoint: (N, 2, A) where each servo's motor and what it moves were sent before, of NumPy or
+            JAX.
+        ctrl: (N, A) the controls.
+        drawn: those of `SERVO_RANGES` that differ, (N, A) each.
+
+    Returns (N, 2, A).
+    """
+    xp, half = setpoint.__array_namespace__(), (ranges.high - ranges.low) / 2
+    motor, moved = setpoint[:, 0], setpoint[:, 1]
+    change = ctrl - motor
+    if "dead_band" in drawn:
+        change = xp.where(abs(change) < drawn["dead_band"] * half, 0.0, change)
+    if "sweep_time" in drawn:  # no least time is no limit
+        time = drawn["sweep_time"]
+        most = 2 * half * ranges.control_timestep / xp.where(time > 0, time, 1.0)
+        most = xp.where(time > 0, most, xp.inf)
+        change = change.clip(-most, most)
+    motor = motor + change
+    play = drawn.get("backlash", 0.0) * half / 2
+    return xp.stack([motor, moved.clip(motor - play, motor + play)], axis=1)
 
 
 def _check(config: DomainRandomization) -> None:

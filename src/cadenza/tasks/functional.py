@@ -5,7 +5,7 @@ It shares the terms of the reward, the layout of observations and the metrics wi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any, NamedTuple
 
@@ -19,13 +19,20 @@ from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.protocol import State
-from cadenza.tasks.augmentation import draws_variation, prepare_tracks
+from cadenza.tasks.augmentation import draw_track, draws_variation, prepare_tracks
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.device_randomization import DeviceRandomization
-from cadenza.tasks.goal_track import UpcomingOnsets, onset_steps
+from cadenza.tasks.goal_track import GoalTrack, UpcomingOnsets, onset_steps
 from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
 from cadenza.tasks.piano_task import PEDAL_DOWN, offset_joints
-from cadenza.tasks.reward import Outcome, Reward, Transition, key_activation, key_state
+from cadenza.tasks.reward import (
+    Outcome,
+    Reward,
+    RewardTerm,
+    Transition,
+    key_activation,
+    key_state,
+)
 from cadenza.tasks.view import task_spec
 
 with extra_packages("gpu", "the engine warp"):
@@ -37,8 +44,14 @@ with extra_packages("gpu", "the engine warp"):
 Array = Any  # of JAX
 
 
+VARIATIONS = 64
+"""How many variations in tempo and pitch episodes draw from, of all songs together. Their fingers
+are found on the host, so that they are there before the first step."""
+_MIN_VARIATIONS = 8  # of each song, of however many
+
+
 class SongGoals(NamedTuple):
-    """The goals of S songs, padded to the T control steps of the longest."""
+    """The goals of S songs or variations, padded to the T control steps of the longest."""
 
     goal: Array  # (S, T + L, K + 1) bool, keys and pedal; nothing past the end of a song
     fingers: Array  # (S, T, K) int8, fingers for the keys, -1 for none
@@ -54,7 +67,7 @@ class SongGoals(NamedTuple):
 class Episodes(NamedTuple):
     """How far N environments have got."""
 
-    song: Array  # (N,) int32, which song each plays
+    song: Array  # (N,) int32, which of `SongGoals` each plays
     steps_done: Array  # (N,) int32, control steps since its reset
     pedal: Array  # (N,) the pedal, 0 to 1
     lost: Array  # (N,) bool, whether the pedal was not a number since its reset
@@ -94,7 +107,8 @@ class FunctionalPianoTask:
 
     `reset` and `step` are compiled, and move nothing to the host. All songs and options of
     `PianoTask` are there, but for what the constructor refuses. Domain randomization draws
-    from `cadenza.tasks.device_randomization.VARIANTS` seeds.
+    from `cadenza.tasks.device_randomization.VARIANTS` seeds, random tempo and pitch from
+    `VARIATIONS`.
     """
 
     def __init__(
@@ -104,20 +118,24 @@ class FunctionalPianoTask:
         scene: SceneConfig | Scene | None = None,
         num_envs: int = 1,
         make_physics: Any = None,
+        reward_terms: Mapping[str, RewardTerm] | None = None,
     ) -> None:
         """Make a task of songs; each of N episodes plays one of them.
 
-        `make_physics` makes the simulation, by default `cadenza.sim.warp.WarpPhysics`. Raises
-        CadenzaError if a song cannot be played, or an option makes no sense or is missing here.
+        `make_physics` makes the simulation, by default `cadenza.sim.warp.WarpPhysics`. The
+        `reward_terms` are as of `PianoTask`, of functions that JAX can compile. Raises CadenzaError
+        if a song cannot be played, or an option makes no sense or is missing here.
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         _check(self.config, self.scene)
         self.tracks = prepare_tracks(scores, self.config, self.scene)
-        self.songs = _padded([t.goals for t in self.tracks], self.config)
+        played = _variations(self.tracks, self.config, self.scene)
+        self._per_song = len(played) // len(self.tracks)
+        self.songs = _padded([track.goals for track in played], self.config)
         self.spec = task_spec(self.config, self.scene)
         self._offset_joints = offset_joints(self.config, self.scene)
-        self._reward = Reward(self.config, self.scene, None)
+        self._reward = Reward(self.config, self.scene, reward_terms)
         self._make_physics = make_physics
         self._allocate(num_envs)
 
@@ -129,18 +147,18 @@ class FunctionalPianoTask:
 
     def _allocate(self, num_envs: int) -> None:
         self.num_envs, make_physics = num_envs, self._make_physics
-        timestep, scaled = self.config.control_timestep, {}
+        timestep, options = self.config.control_timestep, dict[str, Any]()
         self._randomization = None
         if self.config.randomization.is_on:
             drawing = self.config.randomization, self.scene, timestep, num_envs
             self._randomization = DeviceRandomization(*drawing)
-            scaled = {"scaled": self._randomization.scaled}
+            options = self._randomization.physics
         if make_physics is None:
             from cadenza.sim.warp import WarpPhysics  # needs more packages than the rest
 
             make_physics = WarpPhysics
         self.physics = make_physics(
-            self.scene, num_envs, timestep, self.config.forearm_term, **scaled
+            self.scene, num_envs, timestep, self.config.forearm_term, **options
         )
         self.reset, self.step = jax.jit(self._reset), jax.jit(self._step)
 
@@ -158,19 +176,22 @@ class FunctionalPianoTask:
         no, none = jnp.zeros(self.num_envs, bool), jnp.zeros((), jnp.int32)
         info = {"state": state, "final_obs": observation, "truncation": no, "unstable": no}
         info |= {"overflow": data.overflow, "unstable_count": none, "overflow_count": none}
-        info |= _about(episodes)
+        info |= self._about(episodes)
         metrics = dict.fromkeys(names, nothing)
         return PianoState(data, episodes, key, observation, nothing, no, metrics, info)
 
     def _step(self, state: PianoState, action: Array) -> PianoState:
         """Take a control step with actions (N, A + 1) in [-1, 1], the pedal last."""
-        key, of_begin, of_noise = jax.random.split(state.key, 3)
+        key, of_begin, of_actions, of_sensors = jax.random.split(state.key, 4)
         ctrl = arrived = self.spec.scale_action(action)
         episodes, others = state.episodes, dict[str, Any]()
         if self._randomization is not None:
-            draws, arrived, others = self._randomization.send(episodes.draws, ctrl, of_noise)
+            draws, arrived, others = self._randomization.send(episodes.draws, ctrl, of_actions)
             episodes = episodes._replace(draws=draws)
         data, simulated = self.physics.step(state.data, arrived[:, :-1], **others)
+        if self._randomization is not None:
+            draws = self._randomization.sense(episodes.draws, simulated, data.path, of_sensors)
+            episodes = episodes._replace(draws=draws)
         episodes, result = self.advance(episodes, simulated, ctrl, arrived)
         final = self.observation(episodes, simulated)
         done = result.terminated | result.truncated
@@ -185,7 +206,7 @@ class FunctionalPianoTask:
         episodes = where(done, fresh, episodes)
         observation = where(done, first, final)
         info = {"state": simulated, "final_obs": final, "truncation": result.truncated}
-        info |= {"unstable": result.unstable, "overflow": overflow, **_about(episodes)}
+        info |= {"unstable": result.unstable, "overflow": overflow, **self._about(episodes)}
         lost = {"unstable_count": result.unstable, "overflow_count": overflow != 0}
         info |= {name: state.info[name] + worlds.sum() for name, worlds in lost.items()}
         return PianoState(data, episodes, key, observation, result.reward, done, metrics, info)
@@ -202,10 +223,10 @@ class FunctionalPianoTask:
             offset = jax.random.uniform(of_hands, shape, minval=-most, maxval=most)
             start = start.at[:, self._offset_joints].set(offset[:, None])
         zeros = jnp.zeros(shape, jnp.int32)
-        song = jax.random.randint(of_song, shape, 0, len(self.tracks), jnp.int32)
+        song = jax.random.randint(of_song, shape, 0, len(self.songs.num_steps), jnp.int32)
         sums = jnp.zeros((*shape, len(STEP_METRICS)))
         random = self._randomization
-        draws = None if random is None else random.begin(of_draws, start)
+        draws = None if random is None else random.begin(of_draws, self._resting(start))
         keys = self.scene.keyboard.num_keys
         nothing = jnp.zeros((self.num_envs, keys), bool)
         notes = jnp.asarray(no_notes_played(self.num_envs, keys))
@@ -238,7 +259,10 @@ class FunctionalPianoTask:
         lost = episodes.lost | ~jnp.isfinite(pressed)
         pedal: Any = jnp.fmin(jnp.fmax(pressed, 0.0), 1.0)
         keyboard = self.scene.keyboard
-        sounding = key_activation(state.key_qpos, keyboard.sounds_from)
+        sounds_from = keyboard.sounds_from
+        if self._randomization is not None:
+            sounds_from = sounds_from * self._randomization.sounding_depth(episodes.draws)
+        sounding = key_activation(state.key_qpos, sounds_from)
         errors, notes = None, episodes.notes_played
         if self.config.onset_goals:
             due, dt = self._onsets(song, row), self.config.control_timestep
@@ -264,11 +288,9 @@ class FunctionalPianoTask:
         """(N, D) observations, see `PianoTask.observation`."""
         song, row = episodes.song, self._row(episodes)
         ahead = row[:, None] + jnp.arange(self.config.lookahead_steps + 1)
-        keys = key_state(state.key_qpos, self.scene.keyboard.travel)
         if self._randomization is not None:
-            keys = self._randomization.observed_keys(episodes.draws, keys)
-            joints = self._randomization.observed_joints(episodes.draws, state.hand_qpos)
-            state = state._replace(hand_qpos=joints)
+            state = self._randomization.sensed(episodes.draws, state)
+        keys = key_state(state.key_qpos, self.scene.keyboard.travel)
         goal, fingering = (
             self.songs.goal[song[:, None], ahead],
             self.songs.fingers_wanted[song, row],
@@ -282,11 +304,24 @@ class FunctionalPianoTask:
         songs, onsets = song[:, None], (self.songs.onset_time, self.songs.onset_velocity)
         return UpcomingOnsets._make(values[songs, around] for values in onsets)
 
+    def _about(self, episodes: Episodes) -> dict[str, Array]:
+        """Infos on the episodes that environments are in."""
+        drawn = {} if episodes.draws is None else {"randomization/seed": episodes.draws.seed}
+        return {"song": episodes.song // self._per_song, **drawn}
 
-def _about(episodes: Episodes) -> dict[str, Array]:
-    """Infos on the episodes that environments are in."""
-    drawn = {} if episodes.draws is None else {"randomization/seed": episodes.draws.seed}
-    return {"song": episodes.song, **drawn}
+
+def _variations(
+    tracks: Sequence[GoalTrack], config: TaskConfig, scene: Scene
+) -> Sequence[GoalTrack]:
+    """What episodes may play: as many variations of each track, if tempo or pitch is drawn."""
+    if not draws_variation(config):
+        return tracks
+    count = max(VARIATIONS // len(tracks), _MIN_VARIATIONS)
+    return [
+        draw_track(tracks, config, scene.keyboard.pitches, np.random.default_rng([song, i]), song)
+        for song in range(len(tracks))
+        for i in range(count)
+    ]
 
 
 def _padded(goals: Sequence[Goals], config: TaskConfig) -> SongGoals:
@@ -322,7 +357,6 @@ def _check(config: TaskConfig, scene: Scene) -> None:
     missing = {
         "hands apart": scene.config.hands == "apart",
         "fingering transport": config.fingering == "transport",
-        "random_stretch, random_pitch_shift or random_octave_shift": draws_variation(config),
     }
     for what, asked in missing.items():
         if asked:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,7 +14,7 @@ from cadenza.music.metrics import STEP_METRICS
 from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.env import scores_of
 from cadenza.tasks.functional import FunctionalPianoTask, PianoState
-from cadenza.tasks.reward import key_activation
+from cadenza.tasks.reward import RewardTerm, key_activation
 from cadenza.tasks.setups import configure
 
 with extra_packages("gpu", "the engine warp"):
@@ -60,14 +60,22 @@ class PlaygroundPiano:
     each world keeps the song that it drew. `episode_length` is that of the longest song.
     """
 
-    def __init__(self, song: Any, make_physics: Any = None, **options: Any) -> None:
+    def __init__(
+        self,
+        song: Any,
+        make_physics: Any = None,
+        reward_terms: Mapping[str, RewardTerm] | None = None,
+        **options: Any,
+    ) -> None:
         """Make the environment of a song, or of several, which worlds draw from.
 
         The arguments are those of `PianoVectorEnv` and `FunctionalPianoTask`. Raises CadenzaError
         if a song cannot be played, or an option makes no sense or is missing here.
         """
         how = configure(options)
-        self.task = FunctionalPianoTask(scores_of(song), *how, make_physics=make_physics)
+        self.task = FunctionalPianoTask(
+            scores_of(song), *how, make_physics=make_physics, reward_terms=reward_terms
+        )
         self._tasks = {1: self.task}  # number of worlds -> task
         self.action_size = self.task.spec.action_size
         self.observation_size = self.task.spec.observation_size

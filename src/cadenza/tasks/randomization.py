@@ -17,16 +17,16 @@ from cadenza.tasks.draw_ranges import (
     GRAVITY_TILT,
     LATENCY,
     PUSH,
+    PUSHES,
     SEED,
     SERVO_RANGES,
     DrawRanges,
+    moved_setpoints,
 )
 from cadenza.tasks.senses import Senses
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
-
-_PUSHES = 1.0  # a second, on average
 
 
 class Randomization:
@@ -53,8 +53,6 @@ class Randomization:
         Raises CadenzaError if a range makes no sense.
         """
         self._ranges = ranges = DrawRanges(config, scene, control_timestep)
-        if scene.config.engine != "c":
-            ranges.refuse_on_device()
         self._simulation = simulation
         self._env_ids = np.arange(num_envs)
         self.drawn: dict[str, NDArray[np.float64] | NDArray[np.int64]] = {
@@ -155,32 +153,23 @@ class Randomization:
 
     def _moved(self, ctrl: Array, moving: slice | Ids) -> Array:
         """(N, A + 1) where servos are sent with their limits of speed, dead bands and backlash."""
-        half, none = (self._ranges.high - self._ranges.low) / 2, np.zeros(1)
-        time, band, play = (self.drawn.get(n, none)[moving] for n in SERVO_RANGES)
-        motor, moved = self._setpoint[moving].swapaxes(0, 1)
-        change = ctrl[moving, :-1] - motor
-        with np.errstate(divide="ignore"):  # no least time is no limit
-            most = 2 * half * self._ranges.control_timestep / time
-        change = np.where(abs(change) < band * half, 0.0, change.clip(-most, most))
-        motor = motor + change
-        moved = moved.clip(motor - play * half / 2, motor + play * half / 2)
-        self._setpoint[moving] = np.stack([motor, moved], axis=1)
-        ctrl = ctrl.copy()
-        ctrl[moving, :-1] = moved
+        drawn = {name: self.drawn[name][moving] for name in SERVO_RANGES if name in self.drawn}
+        setpoint = moved_setpoints(self._ranges, self._setpoint[moving], ctrl[moving, :-1], drawn)
+        self._setpoint[moving], ctrl = setpoint, ctrl.copy()
+        ctrl[moving, :-1] = setpoint[:, 1]
         return ctrl
 
     def _push(self, moving: slice | Ids) -> None:
         """Push hands: gravity beside what is compensated, and now and then something else."""
         ranges, scene = self._ranges, self._ranges.scene
-        weight = scene.model.body_mass * scene.model.body_gravcomp * scene.model.opt.gravity[2]
         for env in self._env_ids[moving].tolist():
-            force = np.zeros((len(weight), 3))
+            force = np.zeros((scene.model.nbody, 3))
             if ranges.config.gravity_tilt:
                 x, y = self.drawn[GRAVITY_TILT][env]
                 off = math.sin(y), -math.sin(x), math.cos(x) * math.cos(y) - 1
-                force += weight[:, None] * np.array(off)
+                force += ranges.weight[:, None] * np.array(off)
             rng = self._push_rngs[env]
-            if ranges.config.push and rng.random() < _PUSHES * ranges.control_timestep:
+            if ranges.config.push and rng.random() < PUSHES * ranges.control_timestep:
                 direction = rng.standard_normal(3)
                 direction /= np.linalg.norm(direction)
                 force[rng.choice(scene.palm_bodies)] += (

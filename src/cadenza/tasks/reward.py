@@ -314,15 +314,13 @@ class Reward:
                 terms["onset_timing"] = onset_timing(errors.time, coefficient)
             if config.loudness_coefficient:
                 terms["loudness"] = loudness(errors.velocity, config.loudness_coefficient)
-        num_envs = len(outcome.ctrl)
-        demand = f"give a finite number for each environment, ({num_envs},)"
         for name, term in self._more_terms.items():
-            what = f"reward term {quoted(name)} returned values"
-            terms[name] = finite_array(what, term(outcome), (num_envs,), demand)
+            terms[name] = _checked_values(name, term(outcome), outcome.ctrl)
         terminated = unstable = state.unstable | lost
         if config.wrong_press_termination:
             terminated = terminated | (outcome.sounding > keys).any(-1)
-        total = sum(terms.values(), state.unstable.__array_namespace__().zeros(num_envs))
+        nothing = state.unstable.__array_namespace__().zeros(len(outcome.ctrl))
+        total = sum(terms.values(), nothing)
         return Transition(total, terms, terminated, over & ~terminated, unstable)
 
     def _fingering(self, outcome: Outcome) -> Array:
@@ -333,6 +331,21 @@ class Reward:
             keys = keys_by_transport(tips, key_xpos, press, outcome.goal_keys, there)
             return transport_fingering(tips, key_xpos, press, keys, margin)
         return score_fingering(tips, key_xpos, press, outcome.fingers, margin)
+
+
+def _checked_values(name: str, values: Any, ctrl: Array) -> Array:
+    """What a term of the user's is worth in the N environments of the controls (N, A + 1).
+
+    Raises CadenzaError if these are not as many numbers, or not finite, which is not seen while
+    JAX compiles.
+    """
+    what, num_envs = f"reward term {quoted(name)} returned values", len(ctrl)
+    demand = f"give a finite number for each environment, ({num_envs},)"
+    if isinstance(ctrl, np.ndarray):
+        return finite_array(what, values, (num_envs,), demand)
+    if np.shape(values) != (num_envs,):
+        raise CadenzaError(f"{what} of shape {np.shape(values)}: {demand}")
+    return values
 
 
 def _checked(terms: Mapping[str, RewardTerm]) -> dict[str, RewardTerm]:

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.sim.protocol import Path, State
-from cadenza.tasks.draw_ranges import BIAS, OBSERVATION, OBSERVATION_LATENCY, DrawRanges
+from cadenza.tasks.draw_ranges import BIAS, MINUTE, OBSERVATION, OBSERVATION_LATENCY, DrawRanges
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
-
-_MINUTE = 60.0  # [s] in which biases wander as far as `DomainRandomization.drift` says
 
 
 class Senses:
@@ -94,7 +92,7 @@ class Senses:
             rng, noise = self._rngs[env], ranges.observation_noise
             self._offset[env] = noise * rng.standard_normal(len(noise))
             if ranges.bias.any():
-                wander = drift * ranges.bias * np.sqrt(ranges.control_timestep / _MINUTE)
+                wander = drift * ranges.bias * np.sqrt(ranges.control_timestep / MINUTE)
                 self._wandered[env] += wander * rng.standard_normal(len(noise))
                 self._offset[env] += self._bias[env] + self._wandered[env]
 

@@ -70,7 +70,7 @@ def octaves(pitches: Sequence[Sequence[int]], clefs: Sequence[str]) -> list[int]
         beyond = [pitch - _MIDDLE_LINE[clef] for pitch in here] or [0]
         is_high = clef == TREBLE and max(beyond) >= _LEDGERS and min(beyond) >= _BESIDE
         is_low = clef == BASS and min(beyond) <= -_LEDGERS and max(beyond) <= -_BESIDE
-        shifts.append(is_high - is_low)
+        shifts.append(int(is_high) - int(is_low))
     return shifts
 
 
