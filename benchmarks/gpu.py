@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from benchmarks.arguments import one_or_more, parser_for
 from cadenza.agents.playback import load_plan
 from cadenza.errors import CadenzaError, errors_in_a_line, extra_packages
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.setups import setup_named

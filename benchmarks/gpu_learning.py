@@ -24,7 +24,7 @@ from benchmarks.arguments import one_or_more, parser_for
 from benchmarks.gpu import device_name, print_table
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.run_folder import RunFolder

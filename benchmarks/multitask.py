@@ -28,7 +28,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.cli import main as cadenza
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.statistics import mean_interval
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.files import write_atomically
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.config import ImitationConfig

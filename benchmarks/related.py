@@ -30,7 +30,7 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig

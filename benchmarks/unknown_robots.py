@@ -29,7 +29,7 @@ from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.agents.rollout import EpisodeResult, begin_episodes, play_episode
 from cadenza.errors import errors_in_a_line
 from cadenza.evaluation.statistics import bootstrap_interval
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig

@@ -21,7 +21,7 @@ from cadenza.agents.planner.planner import SongPlanner
 from cadenza.agents.playback import SavedPlan
 from cadenza.cli import COMMANDS, GROUPS, main
 from cadenza.episode import load_episode
-from cadenza.evaluation.run import claimed_run
+from cadenza.evaluation.run_status import claimed_run
 from cadenza.files import ANY, read_tensors, write_json, write_tensors
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering

@@ -18,7 +18,7 @@ from cadenza.cli import main
 from cadenza.evaluation.bench import BenchState
 from cadenza.evaluation.jobs import BenchJob, JobSpec
 from cadenza.evaluation.results import BenchResults, read_results
-from cadenza.evaluation.run import read_progress
+from cadenza.evaluation.run_status import read_progress
 from cadenza.learning.config import preset
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder

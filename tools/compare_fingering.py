@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 
 from cadenza.errors import errors_in_a_line
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.fingering.pianist import pianist_fingering
 from cadenza.fingering.search import solve
 from cadenza.fingers import Finger

@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks import related
 from cadenza.agents.agent import RandomAgent
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 

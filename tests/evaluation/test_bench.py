@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 
 from cadenza.errors import CadenzaWarning
-from cadenza.evaluation.bench import BenchState, Ended, bench
+from cadenza.evaluation.bench import BenchState, bench
 from cadenza.evaluation.jobs import BenchJob, Contender, bench_jobs
+from cadenza.evaluation.processes import Ended
 from cadenza.evaluation.results import RESULT, read_results
-from cadenza.evaluation.run import carry_out, write_failure
+from cadenza.evaluation.run import carry_out
+from cadenza.evaluation.run_status import write_failure
 from cadenza.files import locked
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi

@@ -28,9 +28,10 @@ from cadenza.evaluation.benchmark.definition import (
     set_up_song,
     song_digest,
 )
+from cadenza.evaluation.benchmark.entering import enter
 from cadenza.evaluation.benchmark.entry import ACTIONS, ENTRY, actions_path
 from cadenza.evaluation.benchmark.leaderboard import row_of, write_leaderboard
-from cadenza.evaluation.benchmark.verification import PlayedAgain, enter, verify
+from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.jobs import Contender, bench_jobs, key_of
 from cadenza.evaluation.results import RESULT, RUNS
 from cadenza.evaluation.run import carry_out

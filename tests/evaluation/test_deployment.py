@@ -9,8 +9,8 @@ from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.benchmark import definition, deployment, entry
 from cadenza.evaluation.benchmark.definition import DEPLOYMENT, frozen, open_set
+from cadenza.evaluation.benchmark.entering import enter
 from cadenza.evaluation.benchmark.entry import ENTRY, actions_path, read_entry
-from cadenza.evaluation.benchmark.verification import enter
 from cadenza.files import ANY, read_tensors, write_tensors
 from cadenza.performing import with_robot
 from cadenza.tasks import unknown_robot

@@ -11,7 +11,7 @@ import pytest
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.summary import METRICS, SHARES, BenchSummary, summarize
-from cadenza.evaluation.summary_page import write_tables
+from cadenza.evaluation.tables import write_tables
 from evaluation.made_up import result, write_bench, write_result
 
 

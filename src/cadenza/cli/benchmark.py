@@ -79,7 +79,7 @@ class Enter:
 
 
 def enter(command: Enter) -> None:
-    from cadenza.evaluation.benchmark.verification import enter as write_entry
+    from cadenza.evaluation.benchmark.entering import enter as write_entry
 
     with progress("playing again", "runs") as advance:
         played = write_entry(

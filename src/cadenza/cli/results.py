@@ -35,7 +35,8 @@ class Results:
 def results(command: Results) -> None:
     from cadenza.evaluation.results import read_results
     from cadenza.evaluation.summary import summarize
-    from cadenza.evaluation.summary_page import summary_page, write_figure, write_tables
+    from cadenza.evaluation.summary_page import summary_page, write_figure
+    from cadenza.evaluation.tables import write_tables
     from cadenza.report.html_pages import write_page
 
     folder = command.output or command.bench / "results"

@@ -19,8 +19,9 @@ from cadenza.errors import CadenzaError
 from cadenza.sim.threads import MAX_THREADS
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import BenchState, CarryOut
+    from cadenza.evaluation.bench import BenchState
     from cadenza.evaluation.jobs import BenchJob
+    from cadenza.evaluation.processes import CarryOut
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,8 @@ def run_all(
     """
     from tqdm import tqdm
 
-    from cadenza.evaluation.bench import ProcessExecutor, bench
+    from cadenza.evaluation.bench import bench
+    from cadenza.evaluation.processes import ProcessExecutor
     from cadenza.evaluation.results import write_plan
 
     check_writable(folder)
@@ -93,7 +95,7 @@ def run_all(
 
 def _under_way(state: BenchState) -> Iterator[str]:
     """Yield how far each run is that is under way here, and how many are elsewhere."""
-    from cadenza.evaluation.run import read_progress
+    from cadenza.evaluation.run_status import read_progress
 
     for name, job in state.running.items():
         at = read_progress(state.folder / name)

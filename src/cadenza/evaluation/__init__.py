@@ -1,1 +1,1 @@
-"""Songs x agents x seeds: runs that are planned, carried out and read again."""
+"""Runs of songs x agents x seeds: planned, carried out and summed up."""

@@ -1,4 +1,4 @@
-"""Finds runs that cannot be summed up, and differences that make runs hard to compare."""
+"""Caveats of a comparison: runs that cannot be summed up, and differences between runs."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -11,10 +11,10 @@ from cadenza.files import plain
 from cadenza.music.arrangement import Arrangement
 
 _T = TypeVar("_T")
-_VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
-_OWN = ("config", "agent_digest")  # what each agent has of its own
+_VARIED = ("song", "song_digest", "seed", "agent")  # fields that vary among the runs of a bench
+_OF_AGENT = ("config", "agent_digest")  # fields that depend on the agent
 _MUSIC = {"arrangement": asdict(Arrangement()), "task": {"stretch": 1.0, "transpose": 0}}
-_AS_WRITTEN = dict(flat(plain(_MUSIC)))  # the options of a job with which a piece is not changed
+_AS_WRITTEN = dict(flat(plain(_MUSIC)))  # options of a job that leave a piece unchanged
 
 
 def usable(bench: BenchResults) -> list[Result]:
@@ -27,7 +27,7 @@ def _has_f1(result: Result) -> bool:
 
 
 def caveats(bench: BenchResults) -> Iterator[tuple[str, list[str]]]:
-    """Yield what to know before comparing runs: a line, and its cases."""
+    """Yield caveats of comparing runs: a line, and its cases."""
     results = usable(bench)
     broken = [f"{run.name}: {run.reason}" for run in bench.broken]
     without = [run.folder.name for run in bench.results if not _has_f1(run)]
@@ -48,31 +48,31 @@ def caveats(bench: BenchResults) -> Iterator[tuple[str, list[str]]]:
 def _differences(results: Sequence[Result]) -> Iterator[str]:
     """Yield a line for each setting that differs among all runs, those of an agent or a piece."""
     yield from _differing([(result, _shared_settings(result)) for result in results])
-    for agent, own in by_name((result.agent, result) for result in results).items():
-        yield from _differing([(r, _own_settings(r)) for r in own], f"{agent}: ")
-    for piece, own in by_name((result.song.name, result) for result in results).items():
-        yield from _differing([(r, _notes_and_fingers(r)) for r in own], f"{piece}: ")
+    for agent, runs in by_name((result.agent, result) for result in results).items():
+        yield from _differing([(run, _agent_settings(run)) for run in runs], f"{agent}: ")
+    for piece, runs in by_name((result.song.name, result) for result in results).items():
+        yield from _differing([(run, _notes_and_fingers(run)) for run in runs], f"{piece}: ")
 
 
 def by_name(pairs: Iterable[tuple[str, _T]]) -> dict[str, list[_T]]:
-    """Return what each name stands beside, such as the results of each agent."""
-    named: dict[str, list[_T]] = {}
+    """Return name -> all values that are paired with it, such as the results of each agent."""
+    groups: dict[str, list[_T]] = {}
     for name, value in pairs:
-        named.setdefault(name, []).append(value)
-    return named
+        groups.setdefault(name, []).append(value)
+    return groups
 
 
 def _shared_settings(result: Result) -> dict[str, Any]:
-    left_out = (*_VARIED, *_OWN)
+    left_out = (*_VARIED, *_OF_AGENT)
     job = {name: value for name, value in result.job.items() if name not in left_out}
     return {**result.versions, "threads": result.timing.threads, **dict(flat(job))}
 
 
-def _own_settings(result: Result) -> dict[str, Any]:
-    own = dict(flat({name: value for name, value in result.job.items() if name in _OWN}))
+def _agent_settings(result: Result) -> dict[str, Any]:
+    settings = dict(flat({name: value for name, value in result.job.items() if name in _OF_AGENT}))
     if result.training is not None:
-        own.pop("config.seed", None)  # the run's, so it is to differ
-    return own
+        settings.pop("config.seed", None)  # that of the run
+    return settings
 
 
 def _notes_and_fingers(result: Result) -> dict[str, Any]:
@@ -83,19 +83,19 @@ def _notes_and_fingers(result: Result) -> dict[str, Any]:
 def _differing(
     settings: Sequence[tuple[Result, Mapping[str, Any]]], about: str = ""
 ) -> Iterator[str]:
-    """Yield a line for each name whose value is not the same in all runs, and who has which."""
+    """Yield a line for each name whose value differs among runs, with the agents of each value."""
     for name in dict.fromkeys(name for _, values in settings for name in values):
         by_value = by_name(
             ("not set" if (value := values.get(name)) is None else str(value), result.agent)
             for result, values in settings
         )
         if len(by_value) > 1:
-            each = (f"{value} in {_runs_of(agents)}" for value, agents in by_value.items())
-            yield f"{about}{name}: {'; '.join(each)}"
+            cases = (f"{value} in {_runs_of(agents)}" for value, agents in by_value.items())
+            yield f"{about}{name}: {'; '.join(cases)}"
 
 
 def _runs_of(agents: Sequence[str]) -> str:
-    """Return how many runs there are, and of whom."""
+    """Return the number of runs of these agents, in words."""
     return f"{counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
 
 
@@ -105,22 +105,22 @@ def _not_as_written(results: Sequence[Result]) -> list[str]:
     changes = by_name(
         (f"{name} {job[name]}", agent)
         for agent, job in jobs
-        for name, usual in _AS_WRITTEN.items()
-        if job.get(name) not in (usual, None)
+        for name, default in _AS_WRITTEN.items()
+        if job.get(name) not in (default, None)
     )
-    return [f"{what}: {_runs_of(agents)}" for what, agents in changes.items()]
+    return [f"{change}: {_runs_of(agents)}" for change, agents in changes.items()]
 
 
 def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
     """Return a line for each agent that has fewer runs or pieces than others."""
     songs = by_name((result.agent, result.song.name) for result in results)
     all_songs = {result.song.name for result in results}
-    most = max(map(len, songs.values()))
+    max_runs = max(map(len, songs.values()))
     return [
-        f"{agent}: {counted(len(of), 'run')} of {counted(len(set(of)), 'piece')}; "
-        f"the most are {counted(most, 'run')} of {counted(len(all_songs), 'piece')}"
-        for agent, of in songs.items()
-        if len(of) < most or len(set(of)) < len(all_songs)
+        f"{agent}: {counted(len(pieces), 'run')} of {counted(len(set(pieces)), 'piece')}; "
+        f"the most are {counted(max_runs, 'run')} of {counted(len(all_songs), 'piece')}"
+        for agent, pieces in songs.items()
+        if len(pieces) < max_runs or len(set(pieces)) < len(all_songs)
     ]
 
 

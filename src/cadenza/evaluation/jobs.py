@@ -34,10 +34,10 @@ Pages = Literal["first-seed", "all", "none"]
 
 @dataclass(frozen=True)
 class JobSpec:
-    """Everything that the result of a run depends on, but for the versions of programs."""
+    """All inputs on which the result of a run depends, except versions of programs."""
 
     song: str  # the song as `cadenza play` takes it
-    song_digest: str  # a hash of what is played, see `song_digest`
+    song_digest: str  # a hash of the song, see `song_digest`
     # A name that `cadenza play` takes, or train:PRESET(-residual): a policy is trained first
     agent: str
     seed: int
@@ -54,7 +54,7 @@ class JobSpec:
         return self.config if isinstance(self.config, TrainingConfig) else None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the same as JSON has it."""
+        """Return the job as JSON."""
         return plain(asdict(self))
 
     @cached_property
@@ -95,7 +95,7 @@ class BenchJob:
     command: ClassVar[str] = "cadenza bench"  # the command that begins and resumes it
     spec: JobSpec
     song: SongFacts
-    page: bool = True  # true if it leaves a page to watch and hear
+    page: bool = True  # whether to write a page to watch and hear
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,8 @@ def bench_jobs(
 ) -> list[BenchJob]:
     """Return all runs, each once: those of the first seed come first.
 
-    `contenders` tells who plays a song of this name, `pages` which runs leave a page.
+    `contenders` returns the agents that play a song of this name; `pages` tells which runs write a
+    page.
     """
     songs = songs_of(library)
     by_song = {song.name: list(contenders(song.name)) for song, _ in songs}
@@ -143,22 +144,22 @@ def bench_jobs(
 
 
 def key_of(content: Any) -> str:
-    """Return the hash of what JSON has, such as `JobSpec.as_json`."""
+    """Return the hash of a JSON value, such as `JobSpec.as_json`."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
 
 
 def digest_of_files(*configs: Any, others: Sequence[Path] = ()) -> str:
-    """Return a hash of the files that these options name, and of others; nothing if none is.
+    """Return a hash of the files that these options name, and of others; empty without any.
 
-    Raises CadenzaError if a file is not there, or cannot be read.
+    Raises CadenzaError if a file is missing, or cannot be read.
     """
     paths = [*(Path(path) for config in configs for path in files_named(config)), *others]
     return sha256_of(*paths)[:_HASH] if paths else ""
 
 
 def songs_of(library: Library) -> list[tuple[SongFacts, str]]:
-    """Return what the index says of each song, and the hash of what is played.
+    """Return the facts and the hash of each song.
 
     A song that cannot be read is left out, with a warning.
     """
@@ -166,19 +167,19 @@ def songs_of(library: Library) -> list[tuple[SongFacts, str]]:
     for song in library.songs:
         try:
             songs.append((_facts(song, library), song_digest(song)))
-        except Exception as error:  # whatever a file causes, the others are played
+        except Exception as error:  # of any kind: the other songs are played
             warnings.warn(in_a_line(error, song.name), CadenzaWarning, stacklevel=2)
     return songs
 
 
 def _facts(song: Song, library: Library) -> SongFacts:
-    same = ("name", "title", "composer", "split", "difficulty", "seconds", "notes")
-    known = {name: getattr(song, name) for name in same}
-    return SongFacts(**known, library=library.name.partition(":")[0])
+    names = ("name", "title", "composer", "split", "difficulty", "seconds", "notes")
+    values = {name: getattr(song, name) for name in names}
+    return SongFacts(**values, library=library.name.partition(":")[0])
 
 
 def song_digest(song: Song) -> str:
-    """Return a hash of the song's files, so that many are planned in a moment, or of its notes.
+    """Return a hash of the song's files, which is fast, or of its notes if it has no file.
 
     Raises CadenzaError if a file cannot be read, or a song without one cannot be made.
     """
@@ -187,7 +188,7 @@ def song_digest(song: Song) -> str:
         fingers = [path for file in files if os.path.isfile(path := file.with_suffix(SUFFIX))]
         return sha256_of(*files, *fingers, most=MAX_JSON)[:_HASH]  # no song takes more
     score = song.load()
-    notes = [  # `astuple` of the whole takes as long as writing an etude
+    notes = [  # `astuple` of the score takes as long as writing an etude
         (note.start, note.end, note.pitch, note.velocity, note.finger and astuple(note.finger))
         for note in score.notes
     ]

@@ -1,6 +1,6 @@
 """The folder of a bench, and the results in it.
 
-FOLDER/plans/HASH.json    the runs that a command has asked for
+FOLDER/plans/HASH.json    the runs of a command
 FOLDER/runs/NAME/         a run, see `cadenza.evaluation.run`
 """
 
@@ -22,7 +22,7 @@ PLANS, RUNS = "plans", "runs"
 class Timing:
     """Duration of a run."""
 
-    wall_seconds: float  # wall time of the whole run with its training, but for the page
+    wall_seconds: float  # wall time of the run with its training, without the page
     music_seconds: float  # length of the music that was played
     threads: int
     # CPU time of all threads in the same period; not known of training
@@ -31,7 +31,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Trained:
-    """The training before a policy played."""
+    """The training of a policy before it played."""
 
     steps: int  # number of control steps of all environments together
     seconds: float
@@ -66,8 +66,8 @@ class Result(ResultFile):
 
 
 @dataclass(frozen=True)
-class _Who:
-    """What every job says of who plays."""
+class _Player:
+    """Fields that every job has."""
 
     agent: str
     seed: int
@@ -105,14 +105,14 @@ class _Plan:
 
 
 def write_plan(folder: Path, command: str, jobs: Iterable[BenchJob]) -> None:
-    """Keep which runs were asked for, so that missing runs can be named."""
+    """Record the runs of a command, so that missing runs can be named."""
     names = [job.spec.name for job in jobs]
     plan = {"format": FORMAT, "command": command, "runs": names}
     write_json(folder / PLANS / f"{key_of(names)}.json", plan)
 
 
 def read_results(folder: str | Path) -> BenchResults:
-    """Read all runs in the folder of a bench. What is corrupt is reported and left out.
+    """Read all runs in the folder of a bench. Corrupt runs are listed as broken.
 
     Raises CadenzaError if it is not the folder of a bench.
     """
@@ -121,8 +121,8 @@ def read_results(folder: str | Path) -> BenchResults:
         raise CadenzaError(f"{folder}: holds no runs; give the folder of a bench")
     results, broken, unfinished = [], [], []
     planned, unreadable = _planned_runs(sorted((folder / PLANS).glob("*.json")))
-    there = {path.name for path in (folder / RUNS).iterdir() if path.is_dir()}
-    for name in sorted(there | planned):
+    existing = {path.name for path in (folder / RUNS).iterdir() if path.is_dir()}
+    for name in sorted(existing | planned):
         run = folder / RUNS / name
         try:
             if (run / RESULT).exists():
@@ -146,9 +146,9 @@ def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:
 
 
 def read_result(run: Path) -> Result:
-    """Return the result of a run that is finished.
+    """Return the result of a finished run.
 
-    Raises CadenzaError or OSError if it is not, or its result cannot be read or is another run's.
+    Raises CadenzaError or OSError if it is missing, cannot be read, or is that of another run.
     """
     path = run / RESULT
     file = read_json(path, ResultFile)
@@ -157,12 +157,12 @@ def read_result(run: Path) -> Result:
             f"{path}: does not belong to its folder, which was copied or renamed, or the job was "
             "changed; delete the folder"
         )
-    checked({name: file.job.get(name) for name in ("agent", "seed")}, _Who, path)
+    checked({name: file.job.get(name) for name in ("agent", "seed")}, _Player, path)
     return Result(**vars(file), folder=run)
 
 
 def is_finished(_job: object, run: Path) -> bool:
-    """Return whether a job has a result that can be read; a damaged one is to be made again."""
+    """Return whether a job has a result that can be read; a damaged one does not count."""
     if not (run / RESULT).exists():
         return False
     try:
@@ -173,9 +173,9 @@ def is_finished(_job: object, run: Path) -> bool:
 
 
 def failure(run: Path) -> str | None:
-    """Return why a run has failed, in a line; None if it has not.
+    """Return the reason why a run has failed, in a line; None if it has not.
 
-    Raises CadenzaError or OSError if that cannot be read.
+    Raises CadenzaError or OSError if the file cannot be read.
     """
     path = run / FAILED
     return read_json(path, _Failure).error if path.exists() else None

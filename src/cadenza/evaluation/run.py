@@ -1,35 +1,30 @@
-"""Carries out one run: from a job to the files of its folder.
+"""A run of a bench: from a job to the files of its folder.
 
-NAME/job.json         what the run is
-NAME/training/        the run of training, of a policy that is trained first
-NAME/episode.npz      and the other files of `cadenza play`, report.html where a page is wanted
-NAME/result.json      how well it went; written last, so that a run with it is finished
-NAME/failed.json      or why there is none
+NAME/job.json         the job
+NAME/training/        the training of a policy that is trained first
+NAME/episode.npz      and the other files of `cadenza play`, with report.html on request
+NAME/result.json      the result; written last, so that a run with it is finished
+NAME/failed.json      or the reason why there is none
 NAME/log.txt          output of the process
-NAME/progress.json    how far it is
+NAME/progress.json    progress of the run
 NAME/lock             held by the process
 
 A run that is killed leaves no result. Carried out again, a performance begins anew, and training
 goes on from its last checkpoint.
 """
 
-import os
 import platform
 import shutil
-import sys
 import time
-import traceback
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 from cadenza.agents.agent import Progress
-from cadenza.errors import CadenzaError, in_a_line
+from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import BenchJob, JobSpec, song_digest
 from cadenza.evaluation.results import (
-    FAILED,
     FORMAT,
     RESULT,
     ResultFile,
@@ -37,7 +32,8 @@ from cadenza.evaluation.results import (
     Trained,
     is_finished,
 )
-from cadenza.files import read_json, write_json
+from cadenza.evaluation.run_status import claimed_run, progress_writer
+from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
@@ -45,100 +41,14 @@ from cadenza.music.arrangement import load
 from cadenza.music.libraries.library import find_song
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import find_player, set_up
-from cadenza.resumable import ResumableFolder, installed_versions
+from cadenza.resumable import installed_versions
 from cadenza.sim.threads import cpu_seconds
 
-_LOCK_TIMEOUT = 2.0  # [s] for which a run waits for one that may just be ending
-_PROGRESS_INTERVAL = 1.0  # [s] at least between two writings of the progress
-_PROGRESS = "progress.json"
 _VERSIONS = ("cadenza", "mujoco", "numpy")
 
 
-@dataclass(frozen=True)
-class RunProgress:
-    """Progress of a run."""
-
-    stage: str
-    done: int
-    total: int
-    pid: int
-
-
-def folder_of(job: BenchJob, path: Path) -> ResumableFolder:
-    """Return the folder of a run, whose name has the hash of what its manifest says."""
-    return ResumableFolder(path, job.command, "another process carries it out", "job.json")
-
-
-@contextmanager
-def claimed_run(job: Any, path: Path, is_complete: Callable[[Any, Path], bool]) -> Iterator[bool]:
-    """Yield whether this process is to carry out a run, whose output goes to its log meanwhile.
-
-    It is not to where another process does, or where the run `is_complete`. An error of the block
-    is recorded as the reason why the run has no result.
-    """
-    folder = folder_of(job, path)
-    with folder.claimed(_LOCK_TIMEOUT) as ours:
-        if not ours or is_complete(job, path):
-            yield False
-            return
-        folder.write_manifest(job.spec.as_json())
-        (path / FAILED).unlink(missing_ok=True)
-        with _output_to(path / "log.txt"):
-            try:
-                yield True
-            except Exception as error:
-                traceback.print_exc()
-                write_failure(path, in_a_line(error))
-        (path / _PROGRESS).unlink(missing_ok=True)
-
-
-def write_failure(folder: Path, error: str) -> None:
-    """Record why the run has no result."""
-    write_json(folder / FAILED, {"format": FORMAT, "error": error})
-
-
-def read_progress(folder: Path) -> RunProgress | None:
-    """Return how far the run is; None if that cannot be read now."""
-    with suppress(CadenzaError):
-        return read_json(folder / _PROGRESS, RunProgress)
-    return None
-
-
-@contextmanager
-def _output_to(path: Path) -> Iterator[None]:
-    """Append the output of this process and its libraries in the block to a file."""
-    streams = sys.stdout, sys.stderr
-    kept = [os.dup(fd) for fd in (1, 2)]
-    try:
-        with open(path, "a", buffering=1, errors="backslashreplace") as log:
-            for fd in (1, 2):
-                os.dup2(log.fileno(), fd)
-            sys.stdout = sys.stderr = log
-            yield
-    finally:
-        sys.stdout, sys.stderr = streams
-        for fd, before in zip((1, 2), kept, strict=True):
-            os.dup2(before, fd)
-            os.close(before)
-
-
-def progress_writer(folder: Path) -> Progress:
-    """Return what writes how far the run is, now and then, for whoever watches."""
-    last = -_PROGRESS_INTERVAL
-
-    def write(stage: str, done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last < _PROGRESS_INTERVAL:
-            return
-        last = time.monotonic()
-        progress = RunProgress(stage, int(done), int(total), os.getpid())
-        write_json(folder / _PROGRESS, asdict(progress))
-
-    return write
-
-
 def check_song(spec: JobSpec) -> None:
-    """Compare the song with the planned one; raises CadenzaError if it has changed since."""
+    """Check that the song is the planned one; raises CadenzaError if it has changed."""
     if song_digest(find_song(spec.song)) != spec.song_digest:
         raise CadenzaError(
             f"{spec.song}: has other notes here and now than when the run was planned; "
@@ -155,26 +65,26 @@ def versions() -> dict[str, str]:
 def carry_out(
     job: BenchJob, folder: Path, num_threads: int, stop: Callable[[], bool] = lambda: False
 ) -> None:
-    """Leave a result, or why there is none, in `folder`, unless another process works on it.
+    """Write a result, or the reason why there is none, in `folder`, unless another process does.
 
-    `stop` is asked now and then whether training is to end, with a checkpoint.
+    `stop` is polled during training; if true, training ends with a checkpoint.
     """
     with claimed_run(job, folder, is_finished) as ours:
         if ours and (result := _result(job, folder, num_threads, stop)) is not None:
             write_json(folder / RESULT, asdict(result))
             training = RunFolder(folder / "training")
             training.checkpoint.unlink(missing_ok=True)
-            shutil.rmtree(training.replay, ignore_errors=True)  # most of what training wrote
+            shutil.rmtree(training.replay, ignore_errors=True)  # most of the space
 
 
 def _result(
     job: BenchJob, folder: Path, num_threads: int, stop: Callable[[], bool]
 ) -> ResultFile | None:
-    """Play, after training if asked to; return None where it is stopped."""
+    """Train, if the job has a training, and play; return None if it is stopped."""
     spec, progress = job.spec, progress_writer(folder)
     progress("beginning", 0, 0)
     check_song(spec)
-    began, cpu_before, trained = time.perf_counter(), cpu_seconds(), None
+    wall_before, cpu_before, trained = time.perf_counter(), cpu_seconds(), None
     if spec.training is not None:
         trained = _train(spec, spec.training, folder / "training", num_threads, progress, stop)
         if trained is None:
@@ -191,7 +101,7 @@ def _result(
     ) as setup:
         performance = perform(setup, progress)
     if trained is None:
-        seconds, cpu = time.perf_counter() - began, cpu_seconds() - cpu_before
+        seconds, cpu = time.perf_counter() - wall_before, cpu_seconds() - cpu_before
     else:
         seconds, cpu = trained.seconds, None
     performance.save(folder, progress=progress, page=job.page)
@@ -214,7 +124,7 @@ def _train(
     progress: Progress,
     stop: Callable[[], bool],
 ) -> Trained | None:
-    """Train a policy, or resume its training; return None where it is stopped before the end."""
+    """Train a policy, or resume its training; return None if it is stopped before the end."""
     from cadenza.learning.problem import problem_of  # heavy
     from cadenza.learning.training import Training
 

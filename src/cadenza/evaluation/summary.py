@@ -1,4 +1,4 @@
-"""Sums up runs by agents and pieces: what the page, its figure and the tables are made of."""
+"""Summary of runs by agents and pieces: the data of the page, its figure and the tables."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -71,7 +71,7 @@ METRICS = SHARES | {
     ),
     "power": Metric("Energy / music [W]", 1, "Of all actuators, for each second of music."),
 }
-"""Metrics of a run; NaN stands for one that is not known."""
+"""Metrics of a run; NaN stands for an unknown value."""
 
 HEADLINES = ("note_onset_f1", "f1", "pooled_f1", "wall_per_music")  # metrics that are printed
 
@@ -79,8 +79,7 @@ HEADLINES = ("note_onset_f1", "f1", "pooled_f1", "wall_per_music")  # metrics th
 class Estimate(NamedTuple):
     """A value and its 95 % interval, numbers or arrays.
 
-    The interval is NaN where there is none, as with a single seed or where every seed gave the
-    same.
+    The interval is NaN with a single seed, or if every seed gave the same.
     """
 
     value: Any
@@ -121,7 +120,7 @@ class BenchSummary:
 
     title: str
     pieces: Sequence[SongFacts]  # with the length of the music that was played
-    agents: Sequence[str]  # ordered by how many pieces they played, and then by how well
+    agents: Sequence[str]  # by the number of pieces that they played, then by their scores
     runs: Sequence[RunSummary]
     # The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run
     by_piece: Mapping[str, Estimate]
@@ -131,7 +130,7 @@ class BenchSummary:
 
 
 def metric_text(name: str, value: float) -> str:
-    """Return the value of one of `METRICS` as text; a dash if it is not known."""
+    """Return the value of one of `METRICS` as text; a dash if it is unknown."""
     return "–" if math.isnan(value) else f"{value:z.{METRICS[name].decimals}f}".replace("-", "−")
 
 
@@ -191,7 +190,7 @@ def _piece(result: Result) -> SongFacts:
 
 
 def _agent_names(agents: Iterable[str]) -> dict[str, str]:
-    """Return the name of each agent: of a policy's folder given from / on, the end of its path."""
+    """Return the name of each agent: for the absolute path of a folder, its end."""
     names = {agent: agent for agent in agents}
     short = {agent: Path(agent).parts[-2:] for agent in names if Path(agent).is_absolute()}
     if len(set(short.values())) == len(short):
@@ -200,7 +199,7 @@ def _agent_names(agents: Iterable[str]) -> dict[str, str]:
 
 
 def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
-    """Return all of `METRICS` from those of `cadenza play`, NaN where one is not known."""
+    """Return all of `METRICS` from those of `cadenza play`, NaN for unknown values."""
     music = timing.music_seconds or math.nan
     shares = {name: _number(metrics.get(name)) for name in SHARES}
     return shares | {
@@ -237,30 +236,30 @@ def _played(scores: Scores) -> set[int]:
 
 
 def _rank(scores: Mapping[str, Scores]) -> tuple[float, ...]:
-    """Return a sort key: the most pieces first, then the best note onset F1, then the best F1."""
+    """Return a sort key: number of pieces, note onset F1 and F1, all descending."""
     f1, onsets = scores["f1"], scores["note_onset_f1"]
-    played, known = sorted(_played(f1)), sorted(_played(onsets))
-    heard = float(mean(onsets[:, known])) if known else 0.0
-    return -len(played), -heard, -float(mean(f1[:, played]))
+    f1_pieces, onset_pieces = sorted(_played(f1)), sorted(_played(onsets))
+    onset_f1 = float(mean(onsets[:, onset_pieces])) if onset_pieces else 0.0
+    return -len(f1_pieces), -onset_f1, -float(mean(f1[:, f1_pieces]))
 
 
 def _by_piece(scores: AllScores, metric: str) -> Estimate:
     """Return means over seeds and their intervals, arrays (agents, pieces)."""
-    of_agents = [_of_each_piece(own[metric], metric) for own in scores.values()]
-    return Estimate(*np.stack(of_agents, axis=1))
+    by_agent = [_clipped_interval(agent_scores[metric], metric) for agent_scores in scores.values()]
+    return Estimate(*np.stack(by_agent, axis=1))
 
 
-def _of_each_piece(scores: Scores, metric: str) -> tuple[Scores, Scores, Scores]:
+def _clipped_interval(scores: Scores, metric: str) -> tuple[Scores, Scores, Scores]:
     value, low, high = mean_interval(scores)
     return value, low.clip(0), high.clip(max=1 if metric in SHARES else math.inf)
 
 
 def _groups(pieces: Sequence[SongFacts], scores: AllScores) -> Iterator[Group]:
-    """Yield all pieces, the ones that all agents played if fewer, and several libraries."""
+    """Yield groups: all pieces, those that all agents played if fewer, and each library."""
     libraries = by_name((piece.library, i) for i, piece in enumerate(pieces))
     everything = range(len(pieces))
     yield _group("All pieces" if len(libraries) > 1 else pieces[0].library, everything, scores)
-    common = set.intersection(*(_played(own["f1"]) for own in scores.values()))
+    common = set.intersection(*(_played(agent_scores["f1"]) for agent_scores in scores.values()))
     if common and len(common) < len(pieces):
         yield _group("Played by all", sorted(common), scores)
     if len(libraries) > 1:
@@ -270,24 +269,26 @@ def _groups(pieces: Sequence[SongFacts], scores: AllScores) -> Iterator[Group]:
 
 def _group(name: str, pieces: Sequence[int], scores: AllScores) -> Group:
     agents = {}
-    for agent, own in scores.items():
-        if played := sorted(_played(own["f1"]).intersection(pieces)):
+    for agent, agent_scores in scores.items():
+        if played := sorted(_played(agent_scores["f1"]).intersection(pieces)):
             agents[agent] = AgentSummary(
                 pieces=len(played),
-                runs=int(np.sum(~np.isnan(own["f1"][:, played]))),
-                mean={metric: _estimate(own[metric][:, played], metric) for metric in METRICS},
+                runs=int(np.sum(~np.isnan(agent_scores["f1"][:, played]))),
+                mean={
+                    metric: _estimate(agent_scores[metric][:, played], metric) for metric in METRICS
+                },
             )
     return Group(name, list(pieces), agents)
 
 
 def _estimate(scores: Scores, metric: str) -> Estimate:
-    """Return the mean of scores (runs, pieces), but for pieces without any, and its interval.
+    """Return the mean of scores (runs, pieces) over pieces with scores, and its interval.
 
-    Of one piece, the interval is the same as in the table of pieces.
+    The interval of a single piece is the same as in the table of pieces.
     """
     scores = scores[:, sorted(_played(scores))]
     if scores.shape[1] == 1:
-        return Estimate(*(float(part[0]) for part in _of_each_piece(scores, metric)))
+        return Estimate(*(float(part[0]) for part in _clipped_interval(scores, metric)))
     if not scores.size:
         return Estimate(math.nan, math.nan, math.nan)
     return Estimate(float(mean(scores)), *bootstrap_interval(scores))

@@ -1,1 +1,1 @@
-"""The benchmark: its frozen tasks, entries that anybody can verify, and the table of them."""
+"""The benchmark: its frozen tasks, verifiable entries, and the table of entries."""

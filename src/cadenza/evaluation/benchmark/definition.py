@@ -1,7 +1,7 @@
 """Version 1 of the benchmark: its task, its tracks and its sets of songs.
 
-All of it is frozen. `frozen.json` beside this file has hashes of the scene and of what every song
-asks for in each control step, so that a change to a generator, a reader or a hand is found out.
+All of it is frozen. `frozen.json` beside this file has hashes of the scene and of the goals of
+every song, which detect a change to a generator, a reader or a hand.
 """
 
 import hashlib
@@ -40,7 +40,7 @@ TASK = TaskConfig(
     initial_buffer_time=0.5,
     repeats="shortened",
 )
-"""The task. What an agent observes and is rewarded for is up to the agent."""
+"""The task. Observations and rewards are up to the agent."""
 SCENE = SceneConfig()
 """The scene: two Shadow Hands with the paper's reduced actions at a piano, published physics."""
 METRICS = (
@@ -52,17 +52,33 @@ TRACKS = {
     "one-song": "A policy or plan for each song, learnt or practised on that song itself.",
     "at-sight": "An agent that is finished before it meets the songs, and simulates nothing.",
     "planning": "An agent that plans with a model of hands and piano, with its time stated.",
-    "deployment": "Ten plays on each of ten robots that nobody knows; the eleventh counts.",
+    "deployment": "Ten plays on each of ten unknown robots; the eleventh counts.",
 }
-"""What an agent may know -> what that means."""
+"""Track -> which agents belong to it."""
 _OWN_TRACKS = {
     "generalist": "at-sight",
     "pretrained": "one-song",
     **dict.fromkeys(("planner", "predictive-sampling", "ilqg", "stitched", "icp"), "planning"),
 }
-_TRAINED = "train:"  # what the names of agents begin with that are trained on each song
+_TRAINED = "train:"  # prefix of the names of agents that are trained on each song
 _HASH = 16  # hexadecimal digits
 _DIGITS = 6  # significant, of a number of the scene: engines differ in the last ones
+_MODEL = {
+    "body": "parentid pos quat mass ipos iquat inertia gravcomp",
+    "jnt": "type bodyid pos axis range limited stiffness margin solref solimp actfrcrange",
+    "dof": "armature damping frictionloss solref solimp",
+    "qpos": "spring",
+    "tendon": "adr num range limited stiffness damping frictionloss armature margin lengthspring",
+    "wrap": "type objid prm",
+    "exclude": "signature",
+    "actuator": "trntype trnid gaintype gainprm biastype biasprm dyntype dynprm ctrllimited "
+    "ctrlrange forcelimited forcerange gear",
+}
+"""Prefix -> arrays of a MuJoCo model that determine the motion of bodies."""
+_COLLIDING = "type bodyid condim contype conaffinity size pos quat friction solref solimp solmix"
+_COLLIDING += " margin gap priority"  # of geoms that collide; the others are only drawn
+_OPTIONS = "timestep gravity integrator cone solver iterations ls_iterations tolerance impratio"
+_OPTIONS += " ls_tolerance noslip_iterations disableflags enableflags sleep_tolerance"
 
 
 @dataclass(frozen=True)
@@ -75,7 +91,7 @@ class _Frozen:
 
 @cache
 def frozen() -> _Frozen:
-    """The hashes of the scene and of the songs, by name, that version 1 has for good."""
+    """The hashes of the scene and, by name, of the songs in version 1."""
     return read_json(Path(__file__).with_name("frozen.json"), _Frozen)
 
 
@@ -83,13 +99,13 @@ def frozen() -> _Frozen:
 
 
 def own_track(agent: str, options: dict[str, Any]) -> str | None:
-    """The track of an agent that comes with Cadenza; None for others, and where any will do."""
-    agent = agent.strip()  # as a reader sees it
+    """The track of an agent that comes with Cadenza; None for others, which choose one."""
+    agent = agent.strip()
     agent = {entry.place: name for name, entry in AGENTS.own.items()}.get(agent, agent)
     if agent.startswith(_TRAINED):
         return "one-song"
     if agent == "generalist" and options.get("rehearsals"):
-        return "planning"  # they are simulated
+        return "planning"  # rehearsals are simulated
     return _OWN_TRACKS.get(agent)
 
 
@@ -104,29 +120,29 @@ PUBLIC_SETS = (
         for split in ("train", "valid", "test")
     ),
 )
-"""Sets that everybody has."""
+"""Sets that come with Cadenza."""
 DEPLOYMENT, ROBOTS = "deployment", 10
-"""The track of robots that nobody knows, and its set; the number of robots, which are its seeds."""
+"""The track of unknown robots, and its set; the number of robots, which are its seeds."""
 _DEPLOYED = (
     *("TwinkleTwinkleLittleStar", "OdeToJoy", "MinuetInG"),
     *("BachPreludeInCMajor", "FurEliseOpening", "MoonlightOpening"),
 )  # bundled songs, from easy to hard
 PAPER_SETS = {"repertoire-150": 150, "etude-12": 12}
-"""Sets of the paper, to be imported, and how many songs they have."""
+"""Sets of the paper, to be imported, and their numbers of songs."""
 
 
 def open_set(name: str) -> Library:
-    """The songs of a set: a public one, one of the paper, or a library that has been imported.
+    """The songs of a set: a public one, one of the paper, or an imported library.
 
-    Folders of music are none: what is in one may come with the entry that names it. Raises
+    A folder of music is no set: its content might come with the entry that names it. Raises
     CadenzaError if there is no such set, or it has not been imported.
     """
     library = name.partition(":")[0]
     public = (*PUBLIC_SETS, DEPLOYMENT)
-    named = name in (*public, *PAPER_SETS) or (
+    is_set = name in (*public, *PAPER_SETS) or (
         is_imported(library) and library not in LIBRARIES.own
     )
-    if not named:
+    if not is_set:
         raise CadenzaError(
             f"set {quoted(name)}: choose from "
             f"{', '.join((*public, *PAPER_SETS))}, or import a "
@@ -136,11 +152,11 @@ def open_set(name: str) -> Library:
         raise CadenzaError(f"set {name}: an imported library has its name; remove that library")
     if name == DEPLOYMENT:
         bundled = open_library("bundled")
-        return Library(name, tuple(song_named(each, bundled) for each in _DEPLOYED))
+        return Library(name, tuple(song_named(song, bundled) for song in _DEPLOYED))
     songs = open_library(name)
-    if len(songs.songs) != (full := PAPER_SETS.get(name, len(songs.songs))):
+    if len(songs.songs) != (size := PAPER_SETS.get(name, len(songs.songs))):
         raise CadenzaError(
-            f"set {name}: has {len(songs.songs)} of {full} songs here; import the whole dataset"
+            f"set {name}: has {len(songs.songs)} of {size} songs here; import the whole dataset"
         )
     return songs
 
@@ -152,11 +168,11 @@ def open_set(name: str) -> Library:
 def set_up_song(song: Song) -> Iterator[Setup]:
     """Yield a song in the task of the benchmark, without a search for fingers.
 
-    Raises CadenzaError if it cannot be read, or is not the one that version 1 has frozen.
+    Raises CadenzaError if it cannot be read.
     """
     task = replace(TASK, fingering="off")  # keys and metrics do not depend on it
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", CadenzaWarning)  # on what cannot be played
+        warnings.simplefilter("ignore", CadenzaWarning)  # of notes that cannot be played
         with set_up(song, find_player("zero").playing_in(task, SCENE)) as setup:
             yield setup
 
@@ -164,7 +180,7 @@ def set_up_song(song: Song) -> Iterator[Setup]:
 def check_frozen(song: Song, setup: Setup) -> str:
     """Return the hash of a song as the task plays it.
 
-    Raises CadenzaError if the song or the scene is not as version 1 has frozen it.
+    Raises CadenzaError if the song or the scene differs from that of version 1.
     """
     if (scene := scene_digest(setup.task.scene)) != frozen().scene:
         raise CadenzaError(
@@ -181,7 +197,7 @@ def check_frozen(song: Song, setup: Setup) -> str:
 
 
 def song_digest(track: GoalTrack) -> str:
-    """A hash of all that a song asks for: its notes with given fingers, and its goals by step."""
+    """A hash of a song: its notes with given fingers, and its goals by step."""
     notes = [
         (n.start, n.end, n.pitch, n.velocity, *_numbers(n.finger))
         for n in track.delayed_score.notes
@@ -196,29 +212,11 @@ def _numbers(finger: Finger | None) -> tuple[int, int]:
     return (NO_FINGER, NO_FINGER) if finger is None else (finger.hand, finger.index)
 
 
-_MODEL = {
-    "body": "parentid pos quat mass ipos iquat inertia gravcomp",
-    "jnt": "type bodyid pos axis range limited stiffness margin solref solimp actfrcrange",
-    "dof": "armature damping frictionloss solref solimp",
-    "qpos": "spring",
-    "tendon": "adr num range limited stiffness damping frictionloss armature margin lengthspring",
-    "wrap": "type objid prm",
-    "exclude": "signature",
-    "actuator": "trntype trnid gaintype gainprm biastype biasprm dyntype dynprm ctrllimited "
-    "ctrlrange forcelimited forcerange gear",
-}
-"""Prefix -> arrays of a MuJoCo model that decide how bodies move."""
-_COLLIDING = "type bodyid condim contype conaffinity size pos quat friction solref solimp solmix"
-_COLLIDING += " margin gap priority"  # of geoms that collide; the others are only seen
-_OPTIONS = "timestep gravity integrator cone solver iterations ls_iterations tolerance impratio"
-_OPTIONS += " ls_tolerance noslip_iterations disableflags enableflags sleep_tolerance"
-
-
 def scene_digest(scene: Scene) -> str:
-    """A hash of all numbers of a scene that decide how it moves, to six significant digits."""
+    """A hash of all numbers that determine the motion of a scene, to six significant digits."""
     model, digest = scene.model, hashlib.sha256()
     collides = (model.geom_contype | model.geom_conaffinity) != 0
-    names = [f"{kind}_{name}" for kind, several in _MODEL.items() for name in several.split()]
+    names = [f"{kind}_{name}" for kind, fields in _MODEL.items() for name in fields.split()]
     arrays = [getattr(model, name) for name in names]
     arrays += [getattr(model, f"geom_{name}")[collides] for name in _COLLIDING.split()]
     arrays += [getattr(model.opt, name) for name in _OPTIONS.split()]

@@ -1,4 +1,4 @@
-"""The track of robots that nobody knows: what was played on each after ten plays, played again."""
+"""The track of unknown robots: the play on each after ten plays, repeated to verify it."""
 
 import math
 from pathlib import Path
@@ -24,37 +24,39 @@ _MAX_BYTES = 2**28  # of eleven plays of a song
 
 def played_on_robot(actions: NDArray[np.float64], robot: int, setup: Setup) -> Metrics:
     """The metrics of actions (T, A) in the eleventh play of a robot of this seed."""
-    there = simulated(setup, robot, _PROFILE)
+    driver = simulated(setup, robot, _PROFILE)
     for _ in range(PLAYS):
-        there.start()  # what was learnt in these plays shows in the actions
-    play(there, len(actions), in_turn(actions))
-    task = there.env.task
+        driver.start()  # the actions show what was learnt in these plays
+    play(driver, len(actions), in_turn(actions))
+    task = driver.env.task
     metrics = expressive_metrics(task.played(0), task.score(0)) | task.episode_metrics(0)
-    known = {name: metrics[name] for name in METRICS}
-    return {n: None if v is None or math.isnan(v) else float(v) for n, v in known.items()}
+    values = {name: metrics[name] for name in METRICS}
+    return {n: None if v is None or math.isnan(v) else float(v) for n, v in values.items()}
 
 
 def robot_runs(bench: Path, entry: Path, digest: str, setup: Setup) -> list[EnteredRun]:
     """Write the actions of the last play of a song on each robot, from the folders in `bench`.
 
-    Raises CadenzaError if a robot is missing, or does not play as it was recorded.
+    Raises CadenzaError if a robot is missing, or its play does not repeat as recorded.
     """
     song, runs = str(setup.settings["song"]), list[EnteredRun]()
-    told = {path.parent: read_json(path, RobotPlays) for path in sorted(bench.glob(f"*/{ABOUT}"))}
+    plays_by_folder = {
+        path.parent: read_json(path, RobotPlays) for path in sorted(bench.glob(f"*/{ABOUT}"))
+    }
     low, high = setup.task.spec.action_low, setup.task.spec.action_high
     for robot in range(ROBOTS):
-        asked = (song, str(robot), _PROFILE)
-        there = [f for f, p in told.items() if (p.song, p.robot, p.profile) == asked]
-        if not there:
+        key = (song, str(robot), _PROFILE)
+        folders = [f for f, p in plays_by_folder.items() if (p.song, p.robot, p.profile) == key]
+        if not folders:
             raise CadenzaError(
                 f"{bench}: {song} was not played on robot {robot}; cadenza practice {song} "
                 f"--robot {robot} -o {bench / f'{song}-{robot}'}"
             )
-        plays = read_tensors(there[0] / PLAYS_FILE, ANY, _MAX_BYTES)[0]["action"]
+        plays = read_tensors(folders[0] / PLAYS_FILE, ANY, _MAX_BYTES)[0]["action"]
         actions = plays[-1].clip(low, high)
-        metrics, about = played_on_robot(actions, robot, setup), told[there[0]]
+        metrics, about = played_on_robot(actions, robot, setup), plays_by_folder[folders[0]]
         if any(metrics[name] != about.metrics.get(name) for name in ("f1", "note_onset_f1")):
-            raise CadenzaError(f"{there[0]}: does not play as it was recorded; practise it again")
+            raise CadenzaError(f"{folders[0]}: does not play as it was recorded; practise it again")
         write_tensors(actions_path(entry, song, robot), {"action": actions})
         runs.append(EnteredRun(song, robot, digest, metrics, about.cpu_seconds))
     return runs

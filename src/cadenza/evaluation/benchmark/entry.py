@@ -1,4 +1,4 @@
-"""An entry: the actions of an agent that played a set, and what its entrant says of them.
+"""An entry: the actions of an agent that played a set, and the claims of its entrant.
 
 ENTRY/entry.json                        what this module reads and writes
 ENTRY/actions/SONG--sSEED.safetensors   the actions of a run, an array `action` (T, A)
@@ -25,14 +25,14 @@ from cadenza.music.libraries.songs import Song
 ENTRY, ACTIONS = "entry.json", "actions"
 Metrics = dict[str, float | None]
 _MAX_BYTES = 2**24  # of entry.json: a thousand songs with twenty seeds take 10 MB
-_MAX_SEEDS = 20  # so that whoever verifies an entry knows how long it takes
+_MAX_SEEDS = 20  # to bound the time of verification
 _MAX_TEXT = 300  # characters, as many as a cell of the table shows
-_MAX_SECONDS = 1e12  # more than anybody has spent; sums of it are finite
+_MAX_SECONDS = 1e12  # more than any run takes, with finite sums
 
 
 @dataclass(frozen=True)
 class EnteredRun:
-    """A song that was played with a seed."""
+    """The run of a song with a seed."""
 
     song: str
     seed: int
@@ -44,13 +44,13 @@ class EnteredRun:
 
 @dataclass(frozen=True)
 class BenchmarkEntry:
-    """Content of entry.json. Nobody can check what it says of the agent."""
+    """Content of entry.json. Its claims on the agent cannot be verified."""
 
     benchmark: Literal[1]  # the version of the benchmark
     name: str  # the name of the row
     by: str  # who entered it
     about: str  # what the agent has learnt from, for how long, and where its code is
-    agent: str  # the agent as `cadenza bench` names it
+    agent: str  # the name of the agent in `cadenza bench`
     options: dict[str, Any]  # its options
     track: str
     songs: str  # the set
@@ -64,9 +64,9 @@ class BenchmarkEntry:
 
 
 def read_entry(folder: Path) -> BenchmarkEntry:
-    """Read what an entry says, which makes sense by itself.
+    """Read the file of an entry, and check its claims.
 
-    Raises CadenzaError if its file is not there, is too large, or says something else.
+    Raises CadenzaError if the file is missing, too large or invalid.
     """
     path = folder / ENTRY
     entry = parsed_json(content_of(path, _MAX_BYTES), BenchmarkEntry, path)
@@ -76,9 +76,9 @@ def read_entry(folder: Path) -> BenchmarkEntry:
 
 
 def check_claims(entry: BenchmarkEntry) -> None:
-    """Check what an entry says, as far as that can be told before it is played.
+    """Check the claims of an entry that can be checked before it is played.
 
-    Raises CadenzaError if it claims what cannot be.
+    Raises CadenzaError if one is impossible.
     """
     texts = {name: getattr(entry, name) for name in ("name", "by", "about", "agent", "songs")}
     for what, text in (texts | entry.versions).items():
@@ -87,8 +87,10 @@ def check_claims(entry: BenchmarkEntry) -> None:
     track, songs, seeds = entry.track, entry.songs, entry.seeds
     if track not in TRACKS:
         raise CadenzaError(f"track {quoted(track)}: choose from {', '.join(TRACKS)}")
-    if (own := own_track(entry.agent, entry.options)) not in (None, track):
-        raise CadenzaError(f"track {track}: {shortened(entry.agent)} belongs to the track {own}")
+    if (track_of_agent := own_track(entry.agent, entry.options)) not in (None, track):
+        raise CadenzaError(
+            f"track {track}: {shortened(entry.agent)} belongs to the track {track_of_agent}"
+        )
     if track == "at-sight" and songs in (f"{BENCHMARK}:etudes-train", f"{BENCHMARK}:band-train"):
         raise CadenzaError(f"track at-sight: {songs} is there to learn from; choose another set")
     if (track == DEPLOYMENT) != (songs == DEPLOYMENT):
@@ -110,18 +112,17 @@ def check_claims(entry: BenchmarkEntry) -> None:
 def runs_by_song(entry: BenchmarkEntry) -> list[tuple[Song, list[EnteredRun]]]:
     """Every song of the set with its runs, one for each seed.
 
-    Raises CadenzaError if there is no such set, or a run is missing, is there twice, or of another
-    song.
+    Raises CadenzaError if there is no such set, or a run is missing, duplicate, or of another song.
     """
     songs, seeds = open_set(entry.songs).songs, entry.seeds
     expected = {(song.name, seed) for song in songs for seed in seeds}
-    times = Counter((run.song, run.seed) for run in entry.runs)
-    for song, seed in sorted(expected | times.keys()):
+    counts = Counter((run.song, run.seed) for run in entry.runs)
+    for song, seed in sorted(expected | counts.keys()):
         if (song, seed) not in expected:
             raise CadenzaError(f"{shortened(song)}: is no song of {entry.songs}")
-        if (number := times[song, seed]) != 1:
-            what = "is there twice" if number else "is missing"
-            raise CadenzaError(f"{song}, seed {seed}: {what}")
+        if (count := counts[song, seed]) != 1:
+            fault = "is there twice" if count else "is missing"
+            raise CadenzaError(f"{song}, seed {seed}: {fault}")
     runs = {(run.song, run.seed): run for run in entry.runs}
     return [(song, [runs[song.name, seed] for seed in seeds]) for song in songs]
 
@@ -132,16 +133,16 @@ def actions_path(folder: Path, song: str, seed: int) -> Path:
 
 
 def check_files(folder: Path, entry: BenchmarkEntry) -> None:
-    """Check that the folder of an entry holds all that it needs, and nothing else.
+    """Check that the folder of an entry holds its files, and nothing else.
 
-    Raises CadenzaError if it does not, or something in it is a link.
+    Raises CadenzaError if a file is missing, superfluous or a link.
     """
     expected = {actions_path(folder, run.song, run.seed) for run in entry.runs}
     expected |= {folder / ENTRY, folder / ACTIONS}
-    there = {*folder.glob("*"), *(folder / ACTIONS).glob("*")}
-    for path in sorted(expected ^ there):
-        what = "is missing" if path in expected else "does not belong to an entry; remove it"
-        raise CadenzaError(f"{path}: {what}")
-    for path in sorted(there):
+    existing = {*folder.glob("*"), *(folder / ACTIONS).glob("*")}
+    for path in sorted(expected ^ existing):
+        fault = "is missing" if path in expected else "does not belong to an entry; remove it"
+        raise CadenzaError(f"{path}: {fault}")
+    for path in sorted(existing):
         if path.is_symlink():
             raise CadenzaError(f"{path}: is a link; an entry holds its own files")

@@ -1,6 +1,6 @@
 """The table of entries, as CSV and in Markdown.
 
-Its metrics are computed here, from the actions; what entries claim is never shown.
+Its metrics are computed from the actions; claimed metrics are never shown.
 """
 
 import math
@@ -17,12 +17,12 @@ from cadenza.errors import CadenzaError, in_a_line, shortened
 from cadenza.evaluation.benchmark.entry import ENTRY, read_entry
 from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.statistics import bootstrap_interval, mean
-from cadenza.evaluation.summary_page import write_csv
+from cadenza.evaluation.tables import write_csv
 from cadenza.files import write_atomically
 from cadenza.music.score import MS_PER_SECOND
 
 VERIFIED, UNVERIFIED, REFUSED = "verified", "unverified", "refused"
-_ORDER = (VERIFIED, UNVERIFIED, REFUSED)  # whatever is claimed, what holds stands above it
+_ORDER = (VERIFIED, UNVERIFIED, REFUSED)
 _DECIMALS = {"onset_error_ms": 1, "velocity_error": 1, "cpu_per_music": 2}  # of others three
 _COLUMNS = {
     "status": "status",
@@ -41,35 +41,38 @@ _COLUMNS = {
     "why": "why not verified",
 }  # of Markdown, with their titles; the CSV file has more
 _SHARES = ("f1", "precision", "recall", "pooled_f1")  # beside note onset F1
-_TOLD = ("songs", "track", "name", "by", "fingering", "agent", "about")  # by the entry
+_CLAIMS = ("songs", "track", "name", "by", "fingering", "agent", "about")  # of the entry
 Row = dict[str, Any]
 
 
 def entries_in(folders: Iterable[Path]) -> list[Path]:
-    """The given folders, or the entries in them; raises CadenzaError if one is no folder."""
+    """The folders that are entries, or the entries in them.
+
+    Raises CadenzaError if one is no folder.
+    """
     entries: list[Path] = []
     for folder in folders:
         if not folder.is_dir():
             raise CadenzaError(f"{folder}: there is no such folder; give that of an entry")
-        there = sorted(folder.glob(ENTRY)) or sorted(folder.glob(f"*/{ENTRY}"))
-        entries += [path.parent for path in there] or [folder]
+        paths = sorted(folder.glob(ENTRY)) or sorted(folder.glob(f"*/{ENTRY}"))
+        entries += [path.parent for path in paths] or [folder]
     return list(dict.fromkeys(entries))
 
 
 def row_of(folder: Path) -> Row:
-    """Play an entry again, and return its row, which also says what is wrong with it."""
+    """Play an entry again, and return its row, with the reason if it is not verified."""
     row: Row = {"songs": "", "track": "", **dict.fromkeys(_COLUMNS, ""), "folder": folder.name}
     row |= {"name": folder.name, "note_onset_f1": math.nan, "f1": math.nan}
     try:
         entry = read_entry(folder)
-        row |= {name: getattr(entry, name) for name in _TOLD}
+        row |= {name: getattr(entry, name) for name in _CLAIMS}
         row |= {name: entry.versions.get(name, "") for name in ("mujoco", "cadenza")}
         row["seeds"] = len(entry.seeds)
         played = verify(folder)
         row |= means(played) | {"status": VERIFIED}
         if played.differences:
             row |= {"status": UNVERIFIED, "why": played.differences[0]}
-    except Exception as error:  # whatever it is, other entries have their rows
+    except Exception as error:  # of any kind: other entries have their rows
         row |= {"status": REFUSED, "why": in_a_line(error, folder)}
     return {name: shortened(v) if isinstance(v, str) else v for name, v in row.items()}
 
@@ -77,8 +80,7 @@ def row_of(folder: Path) -> Row:
 def write_leaderboard(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write leaderboard.csv and leaderboard.md; return their paths.
 
-    Rows are ordered by set and track; then verified ones come first, refused ones
-    last, and the best note onset F1 of each kind first, of equal ones the best F1.
+    Rows are ordered by set and track, then by status, note onset F1 and F1.
     """
     rows = sorted(
         rows,
@@ -122,19 +124,19 @@ def means(played: PlayedAgain) -> Row:
 
 def _mean_of_known(values: NDArray[np.float64]) -> float:
     """Return the mean of the values (...) that are not NaN; NaN if all are."""
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else math.nan
+    finite = values[~np.isnan(values)]
+    return float(finite.mean()) if len(finite) else math.nan
 
 
 def _as_text(value: str) -> str:
-    """Return a text that no spreadsheet takes for a formula or splits at `;`."""
+    """Return a text that spreadsheets neither take for a formula nor split at `;`."""
     value = value.replace(";", ",")
     begins_a_formula = normalize("NFKC", value).startswith(("=", "+", "-", "@"))  # of any width
     return f"'{value}" if begins_a_formula else value
 
 
 def _markdown(rows: Sequence[Row]) -> str:
-    """Return a table for each set and track; no cell can end itself or mark up anything."""
+    """Return a table for each set and track; text of cells is escaped."""
     lines: list[str] = []
     for (songs, track), section in groupby(rows, lambda row: (row["songs"], row["track"])):
         title = f"{songs}, {track}" if songs else "not read"

@@ -1,4 +1,4 @@
-"""Collects a demonstration: plays an episode, and records it if it is good enough."""
+"""Collection of a demonstration: an episode is played, and recorded if it is good enough."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -31,12 +31,8 @@ from cadenza.evaluation.collecting.performed_agent import PerformedAgent
 from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, Shown, shown_by
 from cadenza.evaluation.collecting.variation import Variation, as_drawn
 from cadenza.evaluation.jobs import BenchJob, JobSpec, digest_of_files, songs_of
-from cadenza.evaluation.run import (
-    check_song,
-    claimed_run,
-    progress_writer,
-    versions,
-)
+from cadenza.evaluation.run import check_song, versions
+from cadenza.evaluation.run_status import claimed_run, progress_writer
 from cadenza.keyboards.registry import keyboard_named
 from cadenza.learning.policy_folder import POLICY_FILE
 from cadenza.music.arrangement import Arrangement, load
@@ -52,19 +48,19 @@ from cadenza.tasks.view import View
 
 Array = NDArray[Any]
 
-PERFORMANCES = "performances"  # beside the folder of the episodes' folders
+PERFORMANCES = "performances"  # the folder beside that of the episodes
 
 
 @dataclass(frozen=True)
 class EpisodeSpec(JobSpec):
-    """Everything that an episode depends on; `seed` is the number of the episode of its song."""
+    """All inputs of an episode; `seed` is its number among the episodes of its song."""
 
     variation: Variation = field(default_factory=Variation)
     student_config: Any = None  # the options of the student, if there is one and it has any
 
     @property
     def pitches(self) -> range:
-        """Pitches of notes for which there are keys once they are transposed."""
+        """Pitches of notes that have keys after transposition."""
         pitches, transpose = keyboard_named(self.scene.keyboard).pitches, self.task.transpose
         return range(pitches.start - transpose, pitches.stop - transpose)
 
@@ -76,11 +72,11 @@ class EpisodeJob(BenchJob):
     command: ClassVar[str] = "cadenza dataset collect"
     spec: EpisodeSpec
     page: bool = False
-    least_f1: float = 0.0  # least F1 of an episode that is kept
+    least_f1: float = 0.0  # minimum F1 of an episode to be recorded
 
 
 class Demonstrator(NamedTuple):
-    """Who plays the episodes, in which task and scene, and how they vary."""
+    """The agent that plays the episodes, its task and scene, and their variation."""
 
     agent: str
     config: Any
@@ -117,24 +113,24 @@ def episodes(
 
 
 def is_complete(job: EpisodeJob, folder: Path) -> bool:
-    """Return whether it is recorded, or was not good enough."""
+    """Return whether an episode is recorded, or was not good enough."""
     if not (folder / RESULT).exists():
         return False
-    made = read_facts(folder)
-    return made.kept or not _is_good(made.metrics, job)
+    facts = read_facts(folder)
+    return facts.kept or not _is_good(facts.metrics, job)
 
 
 def record(
     job: EpisodeJob, folder: Path, num_threads: int, _stop: Callable[[], bool] = lambda: False
 ) -> None:
-    """Leave the episode in `folder`, as `cadenza.evaluation.run.carry_out` does a run."""
+    """Play and record an episode in `folder`, as `cadenza.evaluation.run.carry_out` a run."""
     with claimed_run(job, folder, is_complete) as ours:
         if ours:
             _record(job, folder, num_threads, progress_writer(folder))
 
 
 def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress) -> None:
-    spec, began = job.spec, cpu_seconds()
+    spec, cpu_before = job.spec, cpu_seconds()
     check_song(spec)
     seed, rng = _randomness(spec)
     configs = {spec.agent: spec.config}
@@ -142,7 +138,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     player = find_player(spec.agent, configs=configs)
     loaded = load(spec.song, as_written)
     song = loaded.score
-    if not player.agent.keeps_fingering:  # so that the task finds the same as the agent
+    if not player.agent.keeps_fingering:  # the task is to find the same fingers as the agent
         song = song.without_fingers()
     score, drawn = spec.variation.draw(song, spec.pitches, rng)
     with (
@@ -156,28 +152,32 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
         closing(_perturbed_agent(setup, drawn["noise"], spec, folder)) as perturbed,
     ):
         result = play_episode(setup.task, perturbed, seed, progress)
-        kept = _is_good(result.metrics, job)
-        plan = _plan(setup, result, perturbed) if kept else None
-        last = setup.task.view()  # after the last step
-    made = EpisodeFacts(
+        is_good = _is_good(result.metrics, job)
+        plan = _plan(setup, result, perturbed) if is_good else None
+        last_view = setup.task.view()  # after the last step
+    facts = EpisodeFacts(
         format=FORMAT,
         job=spec.as_json(),
         song=spec.song,
-        kept=kept,
+        kept=is_good,
         metrics=result.metrics,
         drawn=drawn,
         task=_without_randomness(spec.task, result),
         scene=spec.scene,
         start=tuple(result.episode["hand_qpos0"].tolist()),
-        cpu_seconds=cpu_seconds() - began,
+        cpu_seconds=cpu_seconds() - cpu_before,
         versions=versions(),
         files={},
     )
     if plan is None:
-        write_facts(folder, made)
+        write_facts(folder, facts)
     else:
         write(
-            folder, made, song, _fingered_score(setup, plan), _arrays(result, perturbed, last, plan)
+            folder,
+            facts,
+            song,
+            _fingered_score(setup, plan),
+            _arrays(result, perturbed, last_view, plan),
         )
 
 
@@ -187,8 +187,8 @@ def _perturbed_agent(setup: Setup, noise: float, spec: EpisodeSpec, folder: Path
     if student is not None:
         student.num_threads = agent.num_threads
     if Lateness.expected(spec.task.randomization) is None:  # else it plays early, or filters
-        of = spec.agent, spec.as_json()["config"], digest_of_files(spec.config)
-        agent = PerformedAgent(agent, folder.parent.parent / PERFORMANCES, of)
+        facts = spec.agent, spec.as_json()["config"], digest_of_files(spec.config)
+        agent = PerformedAgent(agent, folder.parent.parent / PERFORMANCES, facts)
     return PerturbedAgent(agent, setup.task.scene, noise, student)
 
 
@@ -197,7 +197,7 @@ def _is_good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
 
 
 def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
-    """Return the seed of the episode and a generator, others for each song and number."""
+    """Return the seed of an episode and a generator; both depend on its song and number."""
     content = hashlib.sha256(f"{spec.song_digest} {spec.seed}".encode()).digest()
     seed, other = (int.from_bytes(content[at : at + 8], "big") for at in (0, 8))
     return seed, np.random.default_rng(other)
@@ -206,8 +206,8 @@ def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
 def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> SongPlan:
     """Return the plan of the agent, or one for the same song and start.
 
-    What learns from episodes corrects plans without strikes, and the planner plans strikes. Where
-    it plays early, as actions arrive late, its plan is of fewer steps than the episode.
+    Learners correct plans without timed strikes, which the planner's plans have. If the planner
+    plays early, its plan has fewer steps than the episode.
     """
     (track,) = setup.task.goals.tracks
     steps = track.goals.num_steps
@@ -220,7 +220,7 @@ def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> Son
 
 
 def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
-    """Return the score with the fingers that the task rewarded; where it has none, the plan's."""
+    """Return the score with the fingers that the task rewarded, or else with the plan's."""
     (track,) = setup.task.goals.tracks
     return plan.track.score if track.dropped is None else track.score
 
@@ -228,11 +228,11 @@ def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
 def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
     """Return the task of a replay.
 
-    What `DomainRandomization` drew follows from the seed that this gives.
+    Its seed determines the draws of `DomainRandomization`.
     """
     seed = result.episode.arrays.get("randomization_seed")
-    drawn = replace(task.randomization, seed=None if seed is None else int(seed))
-    return replace(as_drawn(task), randomization=drawn)
+    randomization = replace(task.randomization, seed=None if seed is None else int(seed))
+    return replace(as_drawn(task), randomization=randomization)
 
 
 def _arrays(
@@ -260,6 +260,6 @@ def _arrays(
     steps["tracked"][:-1] = tracking.controls(servos, np.arange(count), states)
     rows = np.zeros(count + 1, plan_type(scene))
     rows["reference"] = tracking.expected[: count + 1]
-    there = scene.present_fingers
-    rows["fingertips"][:, there] = plan.nominal.fingertips[: count + 1]
+    present = scene.present_fingers
+    rows["fingertips"][:, present] = plan.nominal.fingertips[: count + 1]
     return {STEPS: steps, PLAN: rows}

@@ -1,4 +1,4 @@
-"""An agent that performs each song once, undisturbed, and goes back to that wherever it is."""
+"""An agent that performs each song once, undisturbed, and tracks this performance in episodes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 
-_SEED = 0  # of every performance, so that all episodes of a song go back to the same one
+_SEED = 0  # of every performance, so that all episodes of a song track the same one
 _ARRAYS = {
     "action": ArrayOf(FLOATS, ("steps", "actions"), needed=True, finite=True),
     "expected": ArrayOf(FLOATS, ("states", "servos", 2), needed=True, finite=True),
@@ -31,14 +31,14 @@ _ARRAYS = {
 
 
 class ReferencePerformance(NamedTuple):
-    """What an agent played where nothing was random, T steps with A servos."""
+    """An agent's performance without randomness, T steps with A servos."""
 
     action: Array  # (T, A + 1) in actuator units, the pedal last
     expected: Array  # (T + 1, A, 2) position and speed of each servo
 
     @classmethod
     def of(cls, agent: Agent, track: GoalTrack) -> ReferencePerformance:
-        """Have the agent play a track as it was drawn."""
+        """Have the agent play a track."""
         score = track.score if agent.keeps_fingering else track.score.without_fingers()
         with closing(PianoTask([score], _undisturbed(track.config), track.scene.config)) as task:
             played = play_episode(task, agent, _SEED, agent.progress).episode.arrays
@@ -56,15 +56,17 @@ class _PerformedEpisode(EpisodePlanner):
 
     def act(self, view: View) -> Array:
         step, state = int(view.steps[0]), view.state
-        here = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
-        return np.append(self._tracking.controls(self._servos, step, here), self._pedal[step])
+        servo_state = self._servos.state(state.hand_qpos[0], state.hand_qvel[0])
+        return np.append(
+            self._tracking.controls(self._servos, step, servo_state), self._pedal[step]
+        )
 
 
 class PerformedAgent(PlannerPerEnv[_PerformedEpisode]):
-    """An agent that performs a song once, and in every episode tracks what it played.
+    """An agent that performs a song once, and tracks this performance in every episode.
 
-    What it chooses is thus a function of the step and the state, the same in all episodes of a
-    song, and takes no search where noise has led the hands astray.
+    Its actions are thus a function of the step and the state, the same in all episodes of a song.
+    They need no search when noise has moved the hands.
     """
 
     def __init__(self, agent: Agent, folder: Path, facts: Any) -> None:
@@ -78,8 +80,8 @@ class PerformedAgent(PlannerPerEnv[_PerformedEpisode]):
 
     def _performance(self, track: GoalTrack) -> ReferencePerformance:
         task, score = _undisturbed(track.config), WrittenScore.of(track.score)
-        played = [self._facts, asdict(task), asdict(track.scene.config), asdict(score)]
-        path = self._folder / f"{key_of(played)}.npz"
+        content = [self._facts, asdict(task), asdict(track.scene.config), asdict(score)]
+        path = self._folder / f"{key_of(content)}.npz"
         if path.exists():
             return ReferencePerformance(**read_arrays(path, _ARRAYS))
         self._agent.progress = self.progress
@@ -90,5 +92,5 @@ class PerformedAgent(PlannerPerEnv[_PerformedEpisode]):
 
 
 def _undisturbed(task: TaskConfig) -> TaskConfig:
-    """Return the task for a score that has been drawn, where nothing else is."""
+    """Return the task for a drawn score, without other randomness."""
     return replace(as_drawn(task), randomization=DomainRandomization())

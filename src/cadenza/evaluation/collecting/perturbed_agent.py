@@ -13,21 +13,21 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.view import View, observed_key_onsets
 
 _NOISE_TIME = 0.15  # [s] after which noise has fallen to 1 / e
-_TURN = 1.0  # [s] mean time after which it is drawn anew who plays
+_TURN = 1.0  # [s] mean duration of a turn of the agent or the student
 _STUDENT_SHARE = 0.5  # share of the turns in which the student plays
 
 
 class Shown(NamedTuple):
-    """What one environment shows that the recorded states do not tell."""
+    """Observations of one environment that do not follow from the recorded states."""
 
-    pedal: float  # how far the pedal is down, from 0 to 1: actions may arrive late
-    # (K,) when keys began to sound in the last step, see `observed_key_onsets`
+    pedal: float  # position of the pedal, 0 to 1; actions may arrive late
+    # (K,) onsets of keys in the last step, see `observed_key_onsets`
     key_onset: NDArray[np.float32]
-    key_velocity: NDArray[np.float32]  # (K,) how loud they did
+    key_velocity: NDArray[np.float32]  # (K,) velocities of these onsets
 
 
 def shown_by(view: View) -> Shown:
-    """What the only environment of a view shows, without noise."""
+    """These observations of the only environment of a view, without noise."""
     task = view.task
     pedal = float(view.observation[0, task.observation_layout["pedal"]][0])
     dt, keyboard = task.config.control_timestep, task.scene.keyboard
@@ -36,16 +36,17 @@ def shown_by(view: View) -> Shown:
 
 
 class PerturbedAgent(Agent):
-    """Plays in one environment what another agent chooses, with noise, and keeps both.
+    """An agent that adds noise to another agent's actions in one environment, and keeps both.
 
-    The agent sees where the noise has led, and corrects it. Where there is a student, it plays half
-    of the time, and the agent sees where that has led (DAgger: Ross, Gordon & Bagnell, A Reduction
-    of Imitation Learning and Structured Prediction to No-Regret Online Learning, 2011).
+    The other agent sees the states to which noise has led, and corrects them. A student plays half
+    of the time, if there is one, and the agent sees its states, too (DAgger: Ross, Gordon &
+    Bagnell, A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
+    Learning, 2011).
 
     Attributes:
         chosen: (A + 1,) of each step, without noise, in actuator units, as float32.
         played: (A + 1,) of each step, with noise, from -1 to 1, as float32.
-        shown: what the environment showed before each step.
+        shown: observations before each step.
         start: the state before the first step.
     """
 
@@ -82,15 +83,15 @@ class PerturbedAgent(Agent):
         self.shown.append(shown_by(view))
         chosen = self._agent.act(view)[0]
         # A first-order autoregressive process, whose standard deviation is sigma.
-        kept = np.exp(-task.config.control_timestep / _NOISE_TIME)
-        fresh = np.sqrt(1 - kept**2) * self._sigma
-        self._noise = kept * self._noise + fresh * self._rng.standard_normal(len(fresh))
+        decay = np.exp(-task.config.control_timestep / _NOISE_TIME)
+        sigma = np.sqrt(1 - decay**2) * self._sigma
+        self._noise = decay * self._noise + sigma * self._rng.standard_normal(len(sigma))
         played = np.clip(
             self._agent_or_student(chosen, view) + self._noise, task.action_low, task.action_high
         )
         within = np.clip(chosen, task.action_low, task.action_high)
         self.chosen.append(within.astype(np.float32))
-        # What is recorded is what environments take, so that they can play exactly that again.
+        # Recorded in the units of environments, so that they can play exactly the same.
         self.played.append(task.unscale_action(played).astype(np.float32))
         return task.scale_action(self.played[-1])[None]
 

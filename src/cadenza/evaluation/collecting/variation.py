@@ -13,26 +13,26 @@ _MIRRORED_SHARE = 0.5  # of the episodes whose mirror image can be played
 
 @dataclass(frozen=True)
 class Variation:
-    """Ranges of what is drawn for each episode beside tempo, transposition and start."""
+    """Ranges of random variables of each episode beside tempo, transposition and start."""
 
     noise: float = 0.4
-    """Maximum noise on what is played, where 1 is the noise of the planner's search. How much is
-    drawn per episode. The recorded actions have none, and lead back from where the noise before
+    """Maximum noise on the actions played, where 1 is the noise of the planner's search. Its amount
+    is drawn per episode. The recorded actions have none, and lead back from where the noise before
     them has led."""
     mirror: bool = False
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
     """Length of an excerpt [s], which begins at a random note; the whole song if not given."""
     student: str | None = None
-    """Another agent or a policy, which plays half of the time, in stretches of about a second. What
-    is recorded leads from there back to what the first agent performs."""
+    """Another agent or a policy, which plays half of the time, in stretches of about a second. The
+    recorded actions lead from there back to the first agent's performance."""
 
     def draw(
         self, score: Score, pitches: range, rng: np.random.Generator
     ) -> tuple[Score, dict[str, Any]]:
         """Draw the part of a song to play, and the values `since`, `mirrored` and `noise`.
 
-        A mirror image beyond the `pitches` for which there are keys is not played.
+        A mirror image beyond the keys, at `pitches`, is not played.
         """
         begin, mirror, noise = rng.random(3).tolist()
         since = 0.0
@@ -46,9 +46,9 @@ class Variation:
 
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """Return an excerpt of `seconds`, and when it begins in the score [s].
+    """Return an excerpt of `seconds`, and its beginning in the score [s].
 
-    It begins `where` a note does, from 0 for the first to 1 for the last possible one.
+    It begins at a note: `where` is 0 for the first and 1 for the last possible one.
     """
     starts, last = sorted({note.start for note in score.notes}), score.total_time - seconds
     possible = [start for start in starts if start <= last] or starts[:1]
