@@ -15,8 +15,8 @@ for name in (
     sys.modules[name] = None  # importing it fails
 from multiprocessing import get_context
 from cadenza.cli import main
-from cadenza.evaluation import bench
-bench._SPAWN = get_context("fork")  # where nothing can be imported either
+from cadenza.evaluation import processes
+processes._SPAWN = get_context("fork")  # where nothing can be imported either
 for words in (
     "bench --songs songs --agents zero -o bench",
     "dataset collect --songs songs --agent zero --episodes 1 -o demonstrations",
