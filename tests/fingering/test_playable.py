@@ -146,7 +146,7 @@ def test_what_begins_is_pressed_until_it_ends_or_is_let_go_of(score, sides):
     for i, until in found.released.items():
         assert score.notes[i].start < until < score.notes[i].end
         assert until in begins
-    assert [moment.begun for moment in found.moments][-1] == len(score.notes)
+    assert [moment.num_notes for moment in found.moments][-1] == len(score.notes)
     for moment in found.moments:
         keys = [stroke.key for stroke in moment.strokes]
         assert keys == sorted(set(keys))
@@ -163,7 +163,7 @@ def test_what_begins_is_pressed_until_it_ends_or_is_let_go_of(score, sides):
 def test_notes_that_have_begun_are_counted():
     """Also where a key is struck twice at once, for which the last note is of a lower key."""
     score = Score((Note(0, 1, 60), Note(0, 1, 64), Note(0.01, 1, 60), Note(1, 2, 62)))
-    assert [moment.begun for moment in playable(score, shadow_hands()).moments] == [3, 4]
+    assert [moment.num_notes for moment in playable(score, shadow_hands()).moments] == [3, 4]
 
 
 def test_deciding_takes_little_of_the_time_of_fingering():

@@ -1,1 +1,1 @@
-"""The search for fingers: which finger plays which note; and how hard a score is."""
+"""The search for a fingering, and the difficulty of a score."""

@@ -1,10 +1,9 @@
 """The difficulty of a score for two hands, as a grade from 1 to 10.
 
 With each grade the odds of an error, those of 1 - F1, are `ODDS` times as high. The grade is a sum
-over what is measured of the score and its fingers, see `Features`, each on a logarithmic scale and
-with a weight of zero or more: more of anything is never easier. `tools/fit_difficulty.py` has
-fitted the weights to what the planner reaches; docs/difficulty.md says on what, and how well they
-do.
+over `Features` of the score and its fingers, each on a logarithmic scale and with a weight of zero
+or more: more of a feature is never easier. `tools/fit_difficulty.py` has fitted the weights to the
+planner's F1; docs/difficulty.md describes the data and the fit.
 """
 
 from dataclasses import astuple, dataclass
@@ -24,7 +23,7 @@ ODDS = 1.6
 
 _FINGER_TO_FINGER = 12 / 7  # [semitones] between fingers at rest: they lie on white keys
 _LEISURE = 0.3  # [s] in which a finger gets to another key without hurry
-_CROSSING_TIME = 0.5  # [s] within which fingers are crossed rather than the hand moved
+_CROSSING_TIME = 0.5  # [s] within which fingers cross, rather than the hand moves
 _BLACK = np.array([is_black(pitch) for pitch in MIDI_PITCHES])
 
 
@@ -77,7 +76,7 @@ FITTED = DifficultyModel(
 def grade(score: Score, players: Players | None = None) -> float:
     """The difficulty of `score`, from 1 to 10.
 
-    Fingers are as the planner would find them for `players` or, without these, those of the
+    The fingers are those that the planner finds for `players` or, without these, those of the
     score. Raises CadenzaError if there are no notes, or no fingers and no players.
     """
     if players is not None:
@@ -102,13 +101,15 @@ def features_of(score: Score) -> Features:
     moment = np.repeat(np.arange(len(sizes)), sizes)
     spread = travel = crossings = 0.0
     for hand in range(len(SIDES)):
-        own = side == hand
-        if own.any():
+        of_hand = side == hand
+        if of_hand.any():
             outward = 1 - 2 * hand  # to the little finger
-            places = pitch[own] - outward * _FINGER_TO_FINGER * place[own]
-            spread += _spread(moment[own], pitch[own])
-            travel += _travel(moment[own], places)
-            crossings += _crossings(start[own], moment[own], outward * pitch[own], place[own])
+            places = pitch[of_hand] - outward * _FINGER_TO_FINGER * place[of_hand]
+            spread += _spread(moment[of_hand], pitch[of_hand])
+            travel += _travel(moment[of_hand], places)
+            crossings += _crossings(
+                start[of_hand], moment[of_hand], outward * pitch[of_hand], place[of_hand]
+            )
     return Features(
         notes=len(start) / seconds,
         chords=len(start) / len(sizes) - 1,
@@ -152,13 +153,13 @@ def _travel(moment: NDArray[np.intp], place: Array) -> float:
 def _crossings(
     start: Array, moment: NDArray[np.intp], outward: Array, place: NDArray[np.intp]
 ) -> float:
-    """Number of times that one hand goes outwards by an inner finger, or the reverse."""
+    """Number of times that a hand moves outwards with a more inner finger, or the reverse."""
     soon = (np.diff(moment) > 0) & (np.diff(start) < _CROSSING_TIME)
     return float((soon & (np.diff(outward) * np.diff(place) < 0)).sum())
 
 
 def _hurry(start: Array, end: Array, pitch: Array, finger: NDArray[np.intp]) -> float:
-    """Sum over notes: 1 where the finger leaves another key only now, 0 where it had the time."""
+    """Sum over notes: 1 if the finger has just left another key, down to 0 if it had time."""
     order = np.lexsort((start, finger))
     start, end, pitch, finger = start[order], end[order], pitch[order], finger[order]
     another = (np.diff(finger) == 0) & (np.diff(pitch) != 0) & (finger[1:] >= 0)

@@ -1,21 +1,20 @@
-"""Fingers as a pianist would choose them, of those with which these hands can play.
+"""Fingers as a pianist would choose them, within the limits of these hands.
 
 The costs are the rules of R. Parncutt, J. A. Sloboda, E. F. Clarke, M. Raekallio and P. Desain, "An
 ergonomic model of keyboard fingering for melodic fragments", Music Perception 14 (4), 1997, pp.
 341-382, as J. P. Jacobs refined them, "Refinements to the ergonomic model ...", 18 (4), 2001, pp.
 505-511: the little finger is not weak, large spans cost the same for all fingers, and there is no
-rule 7. (He also counts distances in millimetres; here they are in semitones.) Their figures are
-taken from two open implementations, `dvdrndlph/pydactyl` and `vibetuned/counterpoint`, which agree
-but for one of them.
+rule 7. (He also counts distances in millimetres; here they are in semitones.) The figures are taken
+from two open implementations, `dvdrndlph/pydactyl` and `vibetuned/counterpoint`, which agree in all
+but one.
 
-The rules are for melodies, and look at one to three notes. Where a hand strikes several
-keys at once, what they say of notes after each other is the mean over the notes of each moment, and
-they hold for spans between notes that sound together, too. Ours are the costs of what the rules
-exclude: a finger that goes to another key, spans that are not practical, and another finger on a
-key that is struck again. The longer a hand rests, the less it matters where it was.
+The rules are for melodies, and consider one to three notes. For chords, the cost between successive
+moments is the mean over their notes, and the rules on spans hold within chords, too. The costs of
+cases that the rules exclude are ours: a finger that goes to another key, impractical spans, and
+another finger on a repeated key. The longer a hand rests, the less its last place matters.
 
 Each hand is searched by itself, by a dynamic programme (Viterbi) whose states are the fingers that
-are down at two moments, one after the other.
+are down at two successive moments.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -52,8 +51,8 @@ _THUMB, _MIDDLE, _RING, _LITTLE = 0, 2, 3, 4
 _NUM_FINGERS = 5
 _SAME_FINGER = 10.0  # cost of a finger that goes to another key, and 1 for each semitone
 _IMPRACTICAL = 10.0  # cost of a span that is not practical
-_OTHER_FINGER = 2.0  # cost of another finger on a key that is struck again
-_REST = 0.5  # [s] after which it does not matter where the hand was
+_OTHER_FINGER = 2.0  # cost of another finger on a repeated key
+_REST = 0.5  # [s] after which the last place of the hand does not matter
 _FARTHEST = MIDI_PITCHES[-1]  # semitones
 _BLACK = np.array([is_black(pitch) for pitch in MIDI_PITCHES], np.intp)
 
@@ -61,13 +60,12 @@ _BLACK = np.array([is_black(pitch) for pitch in MIDI_PITCHES], np.intp)
 def pianist_fingering(
     score: Score, players: Players, progress: Callable[[int, int], None] | None = None
 ) -> tuple[Score, tuple[Dropped, ...]]:
-    """`score` with fingers of a pianist on every note that the hands can play, none on the others.
+    """`score` with a pianist's fingers on every note that the hands can play, none on the others.
 
-    Each hand plays what is written for it as far as it can, or what `find_fingering` gives to it.
-
-    No fingers of the score are kept. `progress` receives the number of notes that are done, and of
-    all. Raises CadenzaError if the hands have more than five fingers. Returns the score, and the
-    dropped notes in their order.
+    Notes are divided between the hands as written, if possible, or else by `find_fingering`. No
+    fingers of the score are kept. `progress` receives the number of notes done, and of all. Raises
+    CadenzaError if the hands have more than five fingers. Returns the score, and the dropped notes
+    in order.
     """
     if players.reach.num_fingers > _NUM_FINGERS:
         raise CadenzaError("a pianist has five fingers, these hands have more: leave out human")
@@ -82,15 +80,15 @@ def pianist_fingering(
 
 
 class _Moment(NamedTuple):
-    """A moment at which a hand strikes m of the n keys that it holds then, in one of S ways.
+    """A moment at which a hand strikes m of the n keys that it then holds, in one of S ways.
 
-    Notes are in the order of the fingers; places are their pitches if the hand were the right one.
+    Notes are in the order of the fingers.
 
-    time                    when it is [s]
-    strokes (n,)            what is held
-    fingers (S, n)          the fingers with which it is held
-    places (n,)             where
-    struck (m,)             indices of what is struck
+    time                    the time [s]
+    strokes (n,)            the held keys
+    fingers (S, n)          the fingers on them
+    places (n,)             their pitches, mirrored for the left hand
+    struck (m,)             indices of the keys that are struck
     """
 
     time: float
@@ -101,12 +99,12 @@ class _Moment(NamedTuple):
 
     @property
     def striking(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Fingers (S, m) and places (m,) of what is struck."""
+        """Fingers (S, m) and places (m,) of the struck keys."""
         return self.fingers[:, self.struck], self.places[self.struck]
 
     @property
     def end(self) -> float:
-        """When all that is struck is over [s]."""
+        """The end of the last note that is struck [s]."""
         return max(self.strokes[i].end for i in self.struck)
 
 
@@ -116,14 +114,14 @@ class _HandSearch:
     def __init__(self, hand: int, players: Players) -> None:
         self._hand, self._lowest = hand, players.keyboard.lowest_pitch
         self._reaches, self._spans = players.reaches(hand), players.spans()
-        self._ways = lru_cache(maxsize=512)(self._ways_to_hold)  # chords come again
+        self._ways = lru_cache(maxsize=512)(self._ways_to_hold)  # chords recur
 
     def fingers(
         self, moments: Iterable[tuple[float, list[Stroke]]]
     ) -> Iterator[tuple[Stroke, int]]:
-        """Yield what this hand strikes at all moments, and the indices of the best fingers."""
-        own = list(self._moments(moments))
-        for moment, way in zip(own, _best_ways(own), strict=True):
+        """Yield the strokes of this hand, and the indices of the best fingers."""
+        of_hand = list(self._moments(moments))
+        for moment, way in zip(of_hand, _best_ways(of_hand), strict=True):
             for i in moment.struck:
                 yield moment.strokes[i], int(moment.fingers[way, i])
 
@@ -152,23 +150,23 @@ class _HandSearch:
 
 
 def _best_ways(moments: Sequence[_Moment]) -> list[int]:
-    """The way of holding keys at each moment that together cost least."""
+    """The cheapest sequence of ways to hold keys, one at each moment."""
     if not moments:
         return []
     cost = _cost_of_moment(moments[0])[None]  # (S', S) by the ways at two moments
     backpointers: list[NDArray[np.intp]] = []
     before: _Moment | None = None
-    faded_before = 0.0
+    weight_before = 0.0
     for now, after in pairwise(moments):
-        faded = max(1 - max(after.time - now.end, 0.0) / _REST, 0.0)
+        weight = max(1 - max(after.time - now.end, 0.0) / _REST, 0.0)
         paths = np.repeat(cost[..., None], len(after.fingers), axis=2)
-        if before is not None and faded * faded_before:
-            paths += faded * faded_before * _cost_of_three(before, now, after)
+        if before is not None and weight * weight_before:
+            paths += weight * weight_before * _cost_of_three(before, now, after)
         backpointers.append(paths.argmin(axis=0))
         cost = paths.min(axis=0) + _cost_of_holding(now, after) + _cost_of_moment(after)
-        if faded:
-            cost += faded * _cost_of_two(now, after)
-        before, faded_before = now, faded
+        if weight:
+            cost += weight * _cost_of_two(now, after)
+        before, weight_before = now, weight
     way_before, way = (int(i) for i in np.unravel_index(cost.argmin(), cost.shape))
     ways = [way]
     for pointers in reversed(backpointers):
@@ -178,7 +176,7 @@ def _best_ways(moments: Sequence[_Moment]) -> list[int]:
 
 
 def _cost_of_moment(now: _Moment) -> Array:
-    """(S,) costs of what is struck: rules 6 and 10, and spans of chords."""
+    """Costs (S,) of the struck keys: rules 6 and 10, and spans of chords."""
     fingers, places = now.striking
     cost = (fingers == _RING).sum(axis=1) + (fingers == _THUMB) @ _BLACK[places]
     spans = _tables().spans
@@ -190,7 +188,7 @@ def _cost_of_moment(now: _Moment) -> Array:
 
 
 def _cost_of_holding(before: _Moment, now: _Moment) -> Array:
-    """(S', S) costs that forbid another finger on a key that stays down."""
+    """Costs (S', S) that forbid another finger on a key that stays down."""
     cost = np.zeros((len(before.fingers), len(now.fingers)))
     for i, stroke in enumerate(now.strokes):
         if i not in now.struck:
@@ -200,7 +198,7 @@ def _cost_of_holding(before: _Moment, now: _Moment) -> Array:
 
 
 def _cost_of_two(before: _Moment, now: _Moment) -> Array:
-    """(S', S) costs of what is struck at two moments, one after the other."""
+    """Costs (S', S) of strokes at two successive moments."""
     (first, p), (second, q) = before.striking, now.striking
     costs = _tables().pairs[
         _BLACK[p][:, None],
@@ -213,7 +211,7 @@ def _cost_of_two(before: _Moment, now: _Moment) -> Array:
 
 
 def _cost_of_three(first: _Moment, second: _Moment, third: _Moment) -> Array:
-    """(S'', S', S) costs of what is struck at three moments, one after the other."""
+    """Costs (S'', S', S) of strokes at three successive moments."""
     (f, p), (g, q), (h, r) = first.striking, second.striking, third.striking
     f, g, h = f[:, None, None, :, None, None], g[:, None, None, :, None], h[:, None, None, :]
     p, q = p[:, None, None], q[:, None]
@@ -228,9 +226,9 @@ class _Tables(NamedTuple):
     """Costs of two fingers (5, 5) on notes whose distance is the last index.
 
     spans           of the distance (rules 1 to 3)
-    pairs           of one after the other, first by the colours of their keys: 1 is black
+    pairs           of successive notes, first by the colours of their keys: 1 is black
     changes         of the first and the third of three notes (rules 4 and 5)
-    full_changes    added if the thumb plays the second one between them
+    full_changes    added if the thumb plays the second note between them
     """
 
     spans: Array

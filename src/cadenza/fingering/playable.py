@@ -1,29 +1,29 @@
 """The notes of a score that hands can play, and the reasons why not the others.
 
-Hands and keyboard limit what can be played:
+Hands and keyboard have these limits:
 
-- as many notes a hand as it has fingers, their distances within what the fingers reach;
-- keys within what a finger reaches from where its forearm is, if that cannot slide anywhere;
-- forearms that do not run into each other;
-- a finger stays on its key as long as the note sounds; notes with less than `RELEASE_TIME` left
-  when others begin count as over.
+- A hand plays at most one note with each finger, at distances that the fingers reach.
+- A finger reaches keys from the range of its forearm.
+- Forearms must not run into each other.
+- A finger stays on its key while the note sounds. Notes with less than `RELEASE_TIME` left when
+  others begin count as over.
 
-Notes may be held to the hands that they are written for. Where that hand cannot play one, the other
-may; where more notes can be played if any hand plays what begins together, any may.
+Notes may be bound to the hands for which they are written. If that hand cannot play one, the other
+hand may. If more notes of a chord can be played by any hand, any hand may play them.
 
-Where notes cannot all be played, of those that begin the outer ones are taken first: the highest
-and the lowest, then the next from outside, and so on; of two equally far inside the louder, then
-the longer, then the higher. For a note that cannot be played along with those taken before it, a
-held one is let go of, if that is enough: of several, the one that began first. Otherwise it is
+If a chord cannot be played as a whole, the outer notes have priority: the highest and the lowest,
+then the next from outside, and so on; of two notes equally far inside the louder, then the longer,
+then the higher. If a note cannot be played along with those before it in this order, a held note is
+released for it, if that is enough: of several, the one that began first. Otherwise, the note is
 dropped.
 
-For this, all sets of fingers that can play what sounds are followed through the song, in whole
-numbers. A set of fingers that are down is a number of ten bits (of two for each finger of a hand),
-from the left hand's little finger, 1, to the right hand's, 512. As notes lie in the order of the
-fingers, it tells which finger is on which note: the n-th finger down is on the n-th note. A set of
-such sets is a number of 1,024 bits, in which bit s stands for the set s. All limits are of one note
-or between two, and each allows such a set of sets; what all allow is their intersection, `&`. To
-lift finger f lowers s by 2^f, so that it shifts the bits of all s at once by as many places.
+The search follows all sets of fingers that can play the sounding notes, as whole numbers. A set of
+fingers that are down is a number of ten bits (two for each finger of a hand), from the left hand's
+little finger, 1, to the right hand's, 512. As notes lie in the order of the fingers, the n-th
+finger down is on the n-th note. A set of such sets is a number of 1,024 bits, in which bit s stands
+for the set s. Each limit is of one note or of a pair, and allows such a set of sets; their
+intersection is `&`. To lift finger f lowers s by 2^f, and thus shifts the bits of all s by as many
+places.
 
 A note takes 10 to 20 us, and time and memory grow in proportion to the number of notes.
 """
@@ -51,12 +51,12 @@ class Moment(NamedTuple):
     Attributes:
         time: the time of the moment [s].
         strokes: the keys that are pressed then, in their order.
-        begun: the number of notes of the score that have begun by then, played or not.
+        num_notes: the number of notes of the score up to then, played or not.
     """
 
     time: float
     strokes: tuple[Stroke, ...]
-    begun: int
+    num_notes: int
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,9 @@ class Playable:
 
     Attributes:
         moments: the moments at which notes begin.
-        reasons: index of each note that is not played -> why.
+        reasons: index of each dropped note -> the reason.
         ignored: index of each note whose given finger contradicts others, or these hands -> finger.
-        released: index of each note that is let go of before its end, for another -> when [s].
+        released: index of each note that is released early for another -> the time [s].
     """
 
     moments: tuple[Moment, ...]
@@ -76,7 +76,7 @@ class Playable:
     released: dict[int, float]
 
     def held(self, score: Score) -> Score:
-        """The score with each note as long as it is held."""
+        """The score, with notes that end when they are released."""
         notes = (replace(n, end=self.released.get(i, n.end)) for i, n in enumerate(score.notes))
         return replace(score, notes=tuple(notes))
 
@@ -84,20 +84,20 @@ class Playable:
 def playable(score: Score, players: Players, as_written: bool = False) -> Playable:
     """The notes of `score` that these hands can play on this keyboard.
 
-    With `as_written`, each hand plays what is written for it, as far as it can.
+    With `as_written`, each hand plays the notes written for it, if it can.
     """
     moments = []
     reasons: dict[int, str] = {}
     ignored: dict[int, Finger] = {}
     sounding = SoundingNotes(players)
-    for time, begin in onsets(score, players.keyboard.lowest_pitch, as_written):
-        for stroke, reason in sounding.advance(time, begin):
+    for time, strokes in onsets(score, players.keyboard.lowest_pitch, as_written):
+        for stroke, reason in sounding.advance(time, strokes):
             if stroke.finger is None:
                 reasons |= dict.fromkeys(stroke.notes, reason)
             else:
                 ignored |= dict.fromkeys(stroke.notes, stroke.finger)
-        begun = 1 + max(stroke.notes[-1] for stroke in begin)
-        moments.append(Moment(time, tuple(sounding.strokes), begun))
+        num_notes = 1 + max(stroke.notes[-1] for stroke in strokes)
+        moments.append(Moment(time, tuple(sounding.strokes), num_notes))
     return Playable(tuple(moments), reasons, ignored, sounding.released)
 
 
@@ -106,18 +106,18 @@ class SoundingNotes:
 
     Attributes:
         strokes: the notes in the order of their keys.
-        released: index of each note that was let go of before its end, for another -> when [s].
+        released: index of each note that was released early for another -> the time [s].
     """
 
     def __init__(self, players: Players) -> None:
         self.strokes: list[Stroke] = []
         self.released: dict[int, float] = {}
-        self._whose = players.description
+        self._hands = players.description
         self._limits = _limits(players)
         self._sets = _ONLY_EMPTY
 
     def advance(self, time: float, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
-        """Go on to the moment at which others begin; return the dropped strokes, and why."""
+        """Go on to the moment at which others begin; return dropped strokes with their reasons."""
         struck = {stroke.key for stroke in begin}
         for stroke in list(self.strokes):
             if stroke.end <= time + RELEASE_TIME or stroke.key in struck:
@@ -134,7 +134,7 @@ class SoundingNotes:
         return dropped
 
     def _add(self, begin: Sequence[Stroke]) -> list[tuple[Stroke, str]]:
-        """Add strokes as far as they can be played; return the others, and why they cannot."""
+        """Add playable strokes; return the others with their reasons."""
         dropped = []
         for stroke in outer_first(begin, self.strokes):
             free = replace(stroke, hand=None)
@@ -143,7 +143,7 @@ class SoundingNotes:
         return dropped
 
     def _replace_held_by(self, stroke: Stroke) -> bool:
-        """Let go of a held note, if `stroke` can then be played, and return whether it can."""
+        """Release a held note, if `stroke` can then be played; return whether it can."""
         held = [other for other in self.strokes if other.start < stroke.start]
         for other in sorted(held, key=attrgetter("start")):
             strokes, sets = list(self.strokes), self._sets
@@ -163,7 +163,7 @@ class SoundingNotes:
             self._sets |= (sets & nth) >> (1 << finger)
 
     def _try_to_add(self, stroke: Stroke) -> bool:
-        """Add `stroke` if it can be played along with the others, and return whether it can."""
+        """Add `stroke` if it can be played along with the others; return whether it can."""
         if not 0 <= stroke.key < len(self._limits.reaching):
             return False
         n = bisect(self.strokes, stroke.key, key=attrgetter("key"))
@@ -184,19 +184,19 @@ class SoundingNotes:
         if not 0 <= stroke.key < len(limits.reaching):
             return "not on this keyboard"
         if not limits.reaching[stroke.key]:
-            return f"out of reach of {self._whose}"
+            return f"out of reach of {self._hands}"
         if len(self.strokes) == limits.max_notes:
-            return f"more than {limits.max_notes} notes at once for {self._whose}"
+            return f"more than {limits.max_notes} notes at once for {self._hands}"
         strokes = sorted([*self.strokes, stroke], key=attrgetter("key"))
         sets = _ONLY_EMPTY
         for n, other in enumerate(strokes):
             sets = limits.with_finger_on(sets, n, other, given=other.start == stroke.start)
         for (i, low), (n, high) in combinations(enumerate(strokes), 2):
-            sets &= limits.allowed(i, n, limits.pairs_but_for_forearms[low.key][high.key])
+            sets &= limits.allowed(i, n, limits.pairs_without_forearms[low.key][high.key])
         if sets and all(other.start == stroke.start for other in self.strokes):
             return "the forearms would run into each other"
         others = "what is held by" if sets else "the other notes for"
-        return f"too far from {others} {self._whose}"
+        return f"too far from {others} {self._hands}"
 
 
 _ONLY_EMPTY = 1  # the set that holds only the empty set
@@ -206,12 +206,12 @@ class _Limits:
     """The limits of hands, as sets of sets of fingers. Fingers are counted from the left.
 
     Attributes:
-        max_notes: number of notes at once.
+        max_notes: maximum number of notes at once.
         nth: [n][f] the sets whose `n`-th finger is f, both from 0.
         reaching: [key] the fingers that reach it.
-        pairs: [low][high] the pairs of fingers that reach two keys at once, as bits: of F fingers
-            the pair of a on the lower key and b on the higher has bit F a + b.
-        pairs_but_for_forearms: the same if forearms could pass through each other.
+        pairs: [low][high] the pairs of fingers that reach two keys at once, as bits: with F
+            fingers, a on the lower key and b on the higher one are bit F a + b.
+        pairs_without_forearms: the same if forearms could pass through each other.
     """
 
     def __init__(self, players: Players) -> None:
@@ -221,23 +221,23 @@ class _Limits:
         reaches = np.concatenate([players.reaches(1)[:, ::-1], players.reaches(0)], axis=1)
         self.reaching = [np.flatnonzero(row).tolist() for row in reaches]
         self.pairs = _pairs(players)
-        self.pairs_but_for_forearms = _pairs(players, forearms=False)
+        self.pairs_without_forearms = _pairs(players, forearms=False)
         self.allowed = cache(self._allowed)
 
     def with_finger_on(self, sets: int, n: int, stroke: Stroke, given: bool = True) -> int:
         """`sets`, each with one more finger, the `n`-th, which reaches the key of `stroke`.
 
-        `given` says whether it has to be the finger, or the hand, that `stroke` gives, if any.
+        With `given`, it has to be the finger, or of the hand, that `stroke` gives, if any.
         """
         fingers = self.reaching[stroke.key]
         if given and stroke.finger is not None:
             fingers = [finger for finger in fingers if self._fingers[finger] == stroke.finger]
         if given and stroke.hand is not None:
             fingers = [finger for finger in fingers if self._fingers[finger].hand == stroke.hand]
-        more = 0
+        result = 0
         for finger in fingers:
-            more |= (sets << (1 << finger)) & self.nth[n][finger]
-        return more
+            result |= (sets << (1 << finger)) & self.nth[n][finger]
+        return result
 
     def _allowed(self, i: int, n: int, pairs: int) -> int:
         """All sets whose `i`-th and `n`-th finger are one of `pairs`."""
@@ -249,12 +249,12 @@ class _Limits:
         return sets
 
 
-_MAX_PLAYERS = 8  # whose limits are kept; a process rarely has more than one or two
+_MAX_PLAYERS = 8  # whose limits are cached; a process rarely has more than two
 _limits = lru_cache(_MAX_PLAYERS)(_Limits)
 
 
 def _nth(count: int) -> list[list[int]]:
-    """Return at [n][f] the sets, of `count` fingers, whose `n`-th finger is f."""
+    """[n][f] the sets, of `count` fingers, whose `n`-th finger is f."""
     down = (np.arange(1 << count)[:, None] >> np.arange(count) & 1).astype(bool)
     rank = np.where(down, down.cumsum(axis=1) - 1, -1)
     nth = [[_as_number(rank[:, finger] == n) for finger in range(count)] for n in range(count)]
@@ -262,7 +262,7 @@ def _nth(count: int) -> list[list[int]]:
 
 
 def _pairs(players: Players, forearms: bool = True) -> list[list[int]]:
-    """Return at [low][high] the pairs of `_Limits.pairs`; `forearms` says whether they count."""
+    """[low][high] the pairs of `_Limits.pairs`; `forearms` tells whether forearms matter."""
     one_hand = players.spans()
     num_keys, half = one_hand.shape[1:3]
     right, left = slice(half, None), slice(half - 1, None, -1)  # from the thumbs on

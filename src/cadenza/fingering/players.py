@@ -1,7 +1,7 @@
 """Players: hands and keyboard as the search for fingers sees them.
 
-All places are along the keyboard, 0 in its middle [m]. Everything of one hand is described as if it
-were the right one, to the player's right: for the left one the keyboard is mirrored.
+All places are along the keyboard, to the player's right from its middle [m]. Both hands are
+described as right hands: for the left one, the keyboard is mirrored.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ class Forearm:
 
 @dataclass(frozen=True)
 class Players:
-    """Hands of one kind at a keyboard. Those that are equal play alike.
+    """Hands of one kind at a keyboard. Equal players play alike.
 
     Attributes:
         reach: the reach of the F fingers of either hand.
         keyboard: the keyboard, of K keys.
-        forearms: the right hand's and the left hand's; None where there is no hand.
+        forearms: the right hand's and the left hand's; None for a missing hand.
     """
 
     reach: Reach
@@ -69,7 +69,7 @@ class Players:
 
     @property
     def max_notes(self) -> int:
-        """The number of notes that they can play at once."""
+        """The maximum number of notes at once."""
         return self.reach.num_fingers * sum(forearm is not None for forearm in self.forearms)
 
     @property
@@ -80,22 +80,22 @@ class Players:
         return (*reversed(left), *right)
 
     def forearm(self, hand: int) -> Forearm | None:
-        """The forearm of the right hand, 0, or of the left, 1; None where there is no hand."""
+        """The forearm of the right hand, 0, or of the left, 1; None for a missing hand."""
         forearm = self.forearms[hand]
         return forearm.mirrored if forearm and hand else forearm
 
     def key_y(self, hand: int) -> Array:
-        """(K,) places of the keys [m]."""
+        """Places (K,) of the keys [m]."""
         return (1.0, -1.0)[hand] * self.keyboard.grid_y
 
     def outermost(self, hand: int) -> Array:
-        """(K, F) the rightmost places of the forearm while a finger presses a key [m]."""
+        """Rightmost places (K, F) of the forearm while a finger presses a key [m]."""
         forearm = self.forearm(hand)
         assert forearm
         return np.minimum(self.key_y(hand)[:, None] + self.reach.outward, forearm.high)
 
     def reaches(self, hand: int) -> NDArray[np.bool_]:
-        """(K, F) whether a finger reaches a key, beside the other forearm if there is one."""
+        """Whether a finger reaches a key (K, F), beside the other forearm if there is one."""
         forearm, other = self.forearm(hand), self.forearm(1 - hand)
         y = self.key_y(hand)[:, None]
         if forearm is None:
@@ -106,7 +106,7 @@ class Players:
         return np.asarray(within)
 
     def spans(self) -> NDArray[np.bool_]:
-        """(K, K, F, F) whether two fingers of a hand reach two keys at once.
+        """Whether two fingers of a hand reach two keys at once (K, K, F, F).
 
         The first key is nearer the thumb, and so is the first finger.
         """
@@ -115,11 +115,9 @@ class Players:
         return is_within(distance, self.reach.least, self.reach.most)
 
     def forearms_touch(self, right: Array | float, left: Array | float) -> NDArray[np.bool_]:
-        """Whether the forearms touch even if they are as far apart as they can be.
+        """Whether forearms at most at the places `right` and `left`, mirrored, touch [m].
 
-        Forearms that are mounted too close to each other may be as close as that.
-
-        Their places are `right` and, as if it were the right one, `left` [m].
+        Forearms that are mounted closer than their width may be as close as their mounts.
         """
         room = sum(arm.high for arm in map(self.forearm, range(2)) if arm)
         return np.asarray(np.add(right, left) < min(self.reach.forearm_width, room))
@@ -134,7 +132,7 @@ def ways_to_hold(
     """
     for fingers in combinations(range(reaches.shape[1]), len(keys)):
         placed = list(zip(keys, fingers, strict=True))
-        if all(reaches[each] for each in placed) and all(
+        if all(reaches[pair] for pair in placed) and all(
             spans[min(key, other), max(key, other), finger, another]
             for (key, finger), (other, another) in combinations(placed, 2)
         ):
@@ -142,7 +140,7 @@ def ways_to_hold(
 
 
 def is_within(distance: Array, least: Array, most: Array) -> NDArray[np.bool_]:
-    """Whether two fingers can press keys at this `distance` from each other [m]."""
+    """Whether two fingers can press keys at a `distance` from each other [m]."""
     return (distance >= least) & (distance <= most)
 
 
@@ -154,10 +152,10 @@ def players_at(
     slides: bool,
     arm: Forearm | None = None,
 ) -> Players:
-    """Hands of such a reach at a keyboard, on these sides.
+    """Hands with this reach at a keyboard, on these sides.
 
-    Their forearms are mounted `hand_spacing` [m] apart, and may slide along the whole keyboard;
-    `arm` is the range of a right hand on an arm instead.
+    Their forearms are mounted `hand_spacing` [m] apart, and slide along the whole keyboard if
+    `slides`; `arm` is the range of a right hand on an arm instead.
     """
     end = keyboard.half_length  # as in the scene, see `cadenza.hands.forearm.joint_range`
 

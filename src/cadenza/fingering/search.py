@@ -1,23 +1,22 @@
-"""The search for fingers: which finger plays which note, where a score does not say.
+"""The search for fingers of notes to which a score gives none.
 
-What the hands cannot play is left out first, see `cadenza.fingering.playable`. The rest is found
-by a dynamic programme (Viterbi) over the moments at which notes begin, for both hands at once.
-Notes that sound together lie in the order of the fingers, so that what a hand does at a moment
-is the set of its fingers that are down: of m sounding notes the left hand takes the lowest, the
-right hand the highest. A hand without notes stands somewhere along the keyboard. From these states
-and their transitions the cheapest sequence is found, exactly. Time and memory grow in proportion
-to the number of moments: from 0.1 ms and 1 kB for each in two voices to 0.3 ms and 3 kB where many
-notes sound.
+Notes that the hands cannot play are left out first, see `cadenza.fingering.playable`. The fingers
+of the others are found by a dynamic programme (Viterbi) over the moments at which notes begin, for
+both hands at once. Notes that sound together lie in the order of the fingers, so that the state of
+a hand is the set of its fingers that are down: of m sounding notes, the left hand takes the lowest
+and the right hand the highest. A hand without notes stands somewhere along the keyboard. The
+cheapest sequence of these states is found exactly. Time and memory are proportional to the number
+of moments: from 0.1 ms and 1 kB each in two voices to 0.3 ms and 3 kB in thick chords.
 
 Costs, about 1 for something worth avoiding once:
 
-- stretching or squeezing fingers beyond their distances at rest, in proportion to what is left;
-- fingers off their places at rest, where the forearm cannot slide to where they would be there;
-- moving the hand along the keyboard: the distance, and its square over the time there is;
-- a finger that has to leave one key and press another, the less time there is between the two;
-- fingers that would pass over or under one another from one moment to the next;
-- another finger, or hand, on a key that is struck again;
-- fingers that the hand's reach says to spare, on black keys or anywhere;
+- stretching or squeezing fingers beyond their distances at rest, as a share of their range;
+- fingers off their places at rest, if the forearm cannot slide there;
+- moving the hand along the keyboard: the distance, and its square over the time;
+- a finger that has to go from one key to another, the more the less time it has;
+- fingers that pass over or under one another from one moment to the next;
+- another finger, or hand, on a repeated key;
+- the effort of fingers by the hand's reach, on black keys or anywhere;
 - forearms close to each other.
 """
 
@@ -38,11 +37,11 @@ from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
 from cadenza.music.score import RELEASE_TIME, Note, Score
 
-COSTS = Costs()  # the default weights of what a hand does from moment to moment
+COSTS = Costs()
 
 
 class Dropped(NamedTuple):
-    """A note that is not played, and why, in plain words."""
+    """A note that is not played, and the reason in plain words."""
 
     note: Note
     reason: str
@@ -55,9 +54,9 @@ class Solution:
     Attributes:
         score: the score with a finger on every note that is played.
         dropped: the notes that are not played.
-        ignored: notes whose given fingers contradict others, or these hands; they keep them.
-        held: the score with each note as long as it is held.
-        cost: the cost of all fingers but the ignored.
+        ignored: notes whose given fingers contradict others, or these hands, and are kept.
+        held: the score, with notes that end when they are released.
+        cost: the cost of all fingers except ignored ones.
     """
 
     score: Score
@@ -74,19 +73,18 @@ def find_fingering(
     costs: Costs = COSTS,
     as_written: bool = False,
 ) -> tuple[Score, tuple[Dropped, ...]]:
-    """`score` with a finger on every note that the hands can play, none on those dropped.
+    """`score` with a finger on every note that the hands can play, none on dropped notes.
 
-    Fingers that the score gives are kept, and the others found to go with them. Where given fingers
-    contradict each other or these hands, the others take no account of them. Given fingers that
-    hands of this kind do not have count as not given. Returns the score, and the dropped notes in
-    their order.
+    Fingers that the score gives are kept, and the others fit them. Given fingers that contradict
+    each other or these hands are kept, but the others do not fit them. Given fingers that hands of
+    this kind do not have are removed. Returns the score, and the dropped notes in order.
 
     Args:
         score: a score with fingers or without.
-        players: the hands that are there, and the keyboard.
-        progress: receives the number of notes that are done, and of all.
-        costs: weights of what a hand does from moment to moment.
-        as_written: whether each hand plays what is written for it, as far as it can.
+        players: the hands and the keyboard.
+        progress: receives the number of notes done, and of all.
+        costs: weights of the costs between moments.
+        as_written: whether each hand plays the notes written for it, if it can.
     """
     score = _without_missing_fingers(score, players.reach.num_fingers)
     if all(note.finger is not None for note in score.notes):
@@ -114,7 +112,7 @@ def solve(
     as_written: bool = False,
 ) -> Solution:
     """The whole solution of `find_fingering`; for a score with all fingers, their cost."""
-    # Equal scores may differ in what is written for which hand.
+    # Equal scores may differ in the hands for which notes are written.
     hands = tuple(note.hands for note in score.notes) if as_written else ()
     problem = score, players, costs, hands
     if problem in _last_solution:
@@ -127,7 +125,7 @@ def solve(
         stage = next_stage(stage, moment.time, moment.strokes, space, costs)
         steps.append(stage.backpointers)
         if progress:
-            progress(moment.begun, len(score.notes))
+            progress(moment.num_notes, len(score.notes))
     path, _ = backtrack(stage.cost, steps, players.reach.num_fingers)
     fingers = notes_played.ignored | path
     solved = score.with_fingers(n.finger or fingers.get(i) for i, n in enumerate(score.notes))
@@ -147,7 +145,7 @@ def solve(
 
 
 class Backpointers(NamedTuple):
-    """The part of a stage that has to be kept, to tell in the end what the hands do."""
+    """The part of a stage that is kept for `backtrack`."""
 
     strokes: tuple[Stroke, ...]
     fingers: tuple[NDArray[np.uint8], ...]  # right, left: (R, m), (L, m)
@@ -159,8 +157,8 @@ class Backpointers(NamedTuple):
 class Stage:
     """A moment of the dynamic programme: its states, and the cheapest paths to them.
 
-    strokes             the m notes that sound, in the order of their keys
-    cost (R, L)         of the cheapest path to this state of the right and this of the left hand
+    strokes             the m sounding notes, in the order of their keys
+    cost (R, L)         of the cheapest path to a state of the right and a state of the left hand
     left_before (R', L) the left hand's state before, and
     right_before (R, L) the right hand's, on that path
     """
@@ -232,9 +230,9 @@ def _minimise(paths: Array, first: int, cost: Array, before: NDArray[np.unsigned
 def backtrack(
     cost: Array, steps: Sequence[Backpointers], num_fingers: int
 ) -> tuple[dict[int, Finger], list[tuple[int, int]]]:
-    """The path to the least of the last costs (R, L).
+    """The path to the minimum of the last costs (R, L).
 
-    Returns the finger of each note played by its index, and both hands' states in each moment.
+    Returns index of each played note -> finger, and the states of both hands at each moment.
     """
     fingers: dict[int, Finger] = {}
     states = []

@@ -1,7 +1,6 @@
-"""States of the search for fingers: what hands can do about notes that sound together.
+"""States of the search for fingers: the ways in which hands can play a chord.
 
-Everything of one hand is described as if it were the right one: for the left one the keyboard is
-mirrored.
+Both hands are described as right hands: for the left one, the keyboard is mirrored.
 """
 
 from __future__ import annotations
@@ -19,29 +18,29 @@ from cadenza.fingering.players import Players, is_within
 from cadenza.fingers import Finger
 from cadenza.hands.reach import Array, Reach
 
-INFEASIBLE = 1e9  # cost of what hands cannot do: more than all other costs of a song together
+INFEASIBLE = 1e9  # cost of an impossible state or transition, above all costs of a song together
 
 _FAR = 10.0  # [m] farther than anything at a keyboard
-_STRETCH = 1.0  # cost of stretching or squeezing fingers as far as they go
-_MIN_ROOM = 0.001  # [m] taken for that of fingers that cannot spread, so as not to divide by zero
+_STRETCH = 1.0  # cost of fingers that are stretched or squeezed to their limits
+_MIN_ROOM = 0.001  # [m] of fingers that cannot spread, to avoid division by zero
 _FOREARMS_NEAR = 100.0  # [1 / m^2] cost of forearms near each other
-_FOREARM_ROOM = 0.031  # [m] gap between forearms from which on they do not mind each other
+_FOREARM_ROOM = 0.031  # [m] gap between forearms above which it costs nothing
 
 
 @dataclass(frozen=True, eq=False)
 class FingerSets:
     """The S sets of fingers with which a hand of F fingers can play the last of `m` notes.
 
-    The notes lie from the thumb's side to the little finger's; the last row is the empty set.
-    Pairs are the P pairs of notes, the first nearer the thumb.
+    The notes are in order from the thumb to the little finger; the last row is the empty set. There
+    are P pairs of notes, whose first note is nearer the thumb.
 
     fingers (S, m)          the finger on each note, or F for none
     one_hot (S, m (F + 1))  the same
     count (S,)              number of notes played
     mean (S, m)             weights that give the mean of the notes played
     rest (S,)               the mean of their fingers' offsets from the forearm [m]
-    outward (S, m)          how far beyond each note the forearm can be [m]
-    leftward, rightward (S,)    how far all fingers can be off their rest [m]
+    outward (S, m)          maximum offset of the forearm outwards from each note [m]
+    leftward, rightward (S,)    maximum offsets of all fingers from rest [m]
     first, second (P,)      the notes of each pair
     least, ease, most (S, P)    distances between the notes of each pair [m]
     longer, shorter (S, P)  from ease to most and to least [m]
@@ -104,7 +103,7 @@ def finger_sets(m: int, reach: Reach) -> FingerSets:
 
 
 def _with_no_finger(table: Array, value: float) -> Array:
-    """`table` with a last row, and column, for no finger."""
+    """`table` with one more row, and column, for no finger."""
     return np.pad(table, (0, 1), constant_values=value)
 
 
@@ -116,9 +115,9 @@ class HandStates:
     fingers: NDArray[np.uint8]  # (S, m)
     count: NDArray[np.intp]  # (S,) notes played, in falling order
     playing: int  # N
-    idle_slack: float  # how far from its place an idle hand can be as well [m]
-    centre: Array  # (S,) where the forearm is when the fingers are as much at rest as can be [m]
-    outmost: Array  # (S,) where it can be on the side of the little finger [m]
+    idle_slack: float  # half the distance between places of an idle hand [m]
+    centre: Array  # (S,) place of the forearm with the fingers nearest to rest [m]
+    outmost: Array  # (S,) outmost place of the forearm, towards the little finger [m]
     cost: Array  # (S,)
 
     def subset(self, mask: NDArray[np.bool_]) -> HandStates:
@@ -128,16 +127,13 @@ class HandStates:
         return replace(self, playing=int(np.count_nonzero(arrays["count"])), **arrays)
 
     def with_count(self, notes: int) -> slice:
-        """The states in which this many notes are played."""
+        """The states in which `notes` notes are played."""
         first, end = np.searchsorted(-self.count, [-notes, 1 - notes]).tolist()
         return slice(first, end)
 
 
 class ChordNote(NamedTuple):
-    """A note that a hand has to begin, or to go on holding.
-
-    It has the `finger` that is given, or else the `hand` that is to play it, if any.
-    """
+    """A note that a hand has to begin, or to hold on, with its given `finger` or `hand`, if any."""
 
     key: int
     begins: bool
@@ -165,7 +161,7 @@ class StateSpace:
     def __init__(self, players: Players) -> None:
         self._players = players
         self._hands = _HandSpace(players, 0), _HandSpace(players, 1)
-        self.of = lru_cache(maxsize=512)(self._of)  # chords come again
+        self.of = lru_cache(maxsize=512)(self._of)  # chords recur
 
     @property
     def reach(self) -> Reach:
@@ -197,11 +193,11 @@ class StateSpace:
         )
 
     def _forearm_costs(self, right: HandStates, left: HandStates) -> Array:
-        """(R, L) costs of forearms near each other."""
-        at_ease = self.reach.forearm_width + _FOREARM_ROOM
-        lacking = np.maximum(at_ease - (right.centre[:, None] + left.centre), 0.0)
+        """Costs (R, L) of forearms near each other."""
+        free_distance = self.reach.forearm_width + _FOREARM_ROOM
+        shortfall = np.maximum(free_distance - (right.centre[:, None] + left.centre), 0.0)
         touch = self._players.forearms_touch(right.outmost[:, None], left.outmost)
-        return _FOREARMS_NEAR * lacking**2 + INFEASIBLE * touch
+        return _FOREARMS_NEAR * shortfall**2 + INFEASIBLE * touch
 
 
 class _HandSpace:
@@ -222,11 +218,11 @@ class _HandSpace:
         self._hand, self._reach = hand, players.reach
         self._key_y = players.key_y(hand)
         self._is_black = players.keyboard.is_black
-        # (K, F + 1) cost of holding each key with each finger, or with none.
+        # (K, F + 1) cost of each finger, or none, on each key.
         self._holding = np.pad(np.where(players.reaches(hand), 0.0, INFEASIBLE), ((0, 0), (0, 1)))
 
     def states(self, notes: tuple[ChordNote, ...], idle_places: tuple[float, ...]) -> HandStates:
-        """The states for `notes`, from the thumb's side, and at `idle_places` [m] without any."""
+        """The states for `notes`, from the thumb outwards; idle ones are at `idle_places` [m]."""
         y = self._key_y[[note.key for note in notes]]
         sets = finger_sets(len(y), self._reach)
         distance = y[sets.second] - y[sets.first]
@@ -236,10 +232,10 @@ class _HandSpace:
         cost += _STRETCH * (sets.played * (stretch / room) ** 2).sum(axis=1)
         at_rest = sets.mean @ y - sets.rest
         centre = np.clip(at_rest, self._low, self._high)
-        off = at_rest - centre
-        cost += _STRETCH * (off / np.where(off > 0, sets.rightward, sets.leftward)) ** 2
+        offset = at_rest - centre
+        cost += _STRETCH * (offset / np.where(offset > 0, sets.rightward, sets.leftward)) ** 2
         feasible = is_within(distance, sets.least, sets.most).all(axis=1) & (cost < INFEASIBLE)
-        feasible[-1] = False  # the empty set: idle, in one of several places
+        feasible[-1] = False  # the empty set, which has a state for each idle place
         cost[-1] = 0.0
         outmost = (y + sets.outward).min(axis=1, initial=self._high)
         idle = np.full(len(idle_places), len(feasible) - 1)
@@ -265,8 +261,8 @@ class _HandSpace:
             on_black = reach.effort_on_black if self._is_black[note.key] else 0.0
             row[:none] += reach.effort + on_black
             if note.finger is not None:
-                ours = note.finger.hand == self._hand
-                row[np.arange(none + 1) != (note.finger.index if ours else none)] = INFEASIBLE
+                is_ours = note.finger.hand == self._hand
+                row[np.arange(none + 1) != (note.finger.index if is_ours else none)] = INFEASIBLE
             elif note.hand is not None:
                 row[slice(none, None) if note.hand == self._hand else slice(none)] = INFEASIBLE
         return costs

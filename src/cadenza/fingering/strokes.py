@@ -1,4 +1,4 @@
-"""Strokes: the keys that a score presses, and when."""
+"""Strokes: the keys that a score presses, and their times."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from cadenza.music.score import RELEASE_TIME, Note, Score, chords
 class Stroke:
     """A key pressed from `start` to `end` [s] for one or several of the `notes` (indices).
 
-    It has the `finger` that is given, or else the `hand` that is to play it, if any.
+    It has a given `finger`, or else a given `hand`, if any.
     """
 
     key: int
@@ -28,8 +28,8 @@ def onsets(
 ) -> Iterator[tuple[float, list[Stroke]]]:
     """The moments at which notes begin [s], with the strokes that begin then.
 
-    A stroke ends where its key is struck again. Key 0 has the `lowest_pitch`. Strokes `as_written`
-    have the hands that notes are written for, but where these cross, which ours cannot.
+    A stroke ends when its key is struck again. Key 0 has the `lowest_pitch`. Strokes `as_written`
+    have the hands for which notes are written, unless these cross, which our hands cannot.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
     for chord in chords(range(len(score.notes)), start=lambda i: score.notes[i].start):
@@ -51,22 +51,22 @@ def onsets(
             notes = [score.notes[i] for i in indices]
             finger = next((n.finger for n in notes if n.finger is not None), None)
             loudest = max(note.velocity for note in notes)
-            written = {hand for note in notes for hand in note.hands}
-            held_to = as_written and finger is None and crossing.isdisjoint(indices)
-            hand = written.pop() if held_to and len(written) == 1 else None
+            hands = {hand for note in notes for hand in note.hands}
+            is_bound = as_written and finger is None and crossing.isdisjoint(indices)
+            hand = hands.pop() if is_bound and len(hands) == 1 else None
             end = ends[indices[0]]
             strokes.append(Stroke(key, time, end, loudest, finger, tuple(indices), hand))
         yield time, strokes
 
 
 def _crossing(notes: Sequence[Note]) -> set[int]:
-    """The indices of notes that sound while one for the other hand is on the wrong side of them."""
+    """Indices of notes that sound together with notes of the other hand on the wrong side."""
     crossing: set[int] = set()
     sounding: list[int] = []
     for i, note in enumerate(notes):
         sounding = [k for k in sounding if notes[k].end > note.start + RELEASE_TIME]
         for k in sounding:
-            lower, upper = sorted((note, notes[k]), key=lambda each: each.pitch)
+            lower, upper = sorted((note, notes[k]), key=lambda n: n.pitch)
             if (lower.hands, upper.hands) == ((RIGHT,), (LEFT,)) and lower.pitch < upper.pitch:
                 crossing |= {i, k}
         sounding.append(i)
@@ -74,7 +74,7 @@ def _crossing(notes: Sequence[Note]) -> set[int]:
 
 
 def outer_first(begin: Sequence[Stroke], held: Sequence[Stroke]) -> list[Stroke]:
-    """`begin` in the order in which notes are taken: given ones, then from outside to inside."""
+    """`begin` by priority: strokes with given fingers, then from outside to inside."""
     keys = sorted({stroke.key for stroke in (*begin, *held)})
     place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
     return sorted(

@@ -1,4 +1,4 @@
-"""Costs of what a hand does between one moment at which notes begin and the next."""
+"""Costs of the transitions of a hand from one moment at which notes begin to the next."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ _TIME_TO_CROSS = 0.3  # [s] in which a finger passes over another
 
 @dataclass(frozen=True)
 class Costs:
-    """Weights of what a hand does between moments, 1 for something worth avoiding once."""
+    """Weights of transitions between moments, 1 for something worth avoiding once."""
 
-    distance: float = 8.0  # weight of moving along the keyboard [1 / m]
-    speed: float = 3.0  # weight of moving fast [s / m^2]
-    same_finger: float = 2.0  # cost of a finger that has no time to get from its key to another
-    crossing: float = 0.5  # cost of a finger that passes over or under another without time for it
-    other_finger: float = 1.0  # cost of another finger on a key that is struck again
+    distance: float = 8.0  # weight of the distance along the keyboard [1 / m]
+    speed: float = 3.0  # weight of its square over time [s / m^2]
+    same_finger: float = 2.0  # cost of a finger without time to get from one key to another
+    crossing: float = 0.5  # cost of a finger without time to pass over or under another
+    other_finger: float = 1.0  # cost of another finger on a repeated key
 
 
 def transition_costs(
@@ -32,12 +32,12 @@ def transition_costs(
     seconds: float,
     costs: Costs,
 ) -> Array:
-    """(S', S) costs of a hand to go from one of S states to one of S' in `seconds`.
+    """Costs (S', S) of a hand to go from one of S states to one of S' in `seconds`.
 
     `finger_changes` are those of `finger_change_costs`.
     """
     distance = np.abs(after.centre[:, None] - before.centre)
-    # Idle hands stand at the nearest of a few places, and so may be nearer than it seems.
+    # Places of idle hands are a grid: the true place may be nearer.
     distance[after.playing :] -= after.idle_slack
     distance[: after.playing, before.playing :] -= after.idle_slack
     np.maximum(distance, 0.0, out=distance)
@@ -50,14 +50,14 @@ def transition_costs(
     return cost
 
 
-# The relation of a note to one of the moment before; higher or lower if it begins when that ended.
+# The relation of a note to one of the moment before: higher or lower if it begins as that ends.
 _UNRELATED, _HELD, _STRUCK_AGAIN, _HIGHER, _LOWER = range(5)
 
 
 def finger_change_costs(
     before: Sequence[Stroke], now: Sequence[Stroke], time: float, reach: Reach, costs: Costs
 ) -> tuple[Array, Array] | tuple[None, None]:
-    """(S', S) costs of going between `finger_sets`, by hand, right first; None where it is free."""
+    """Costs (S', S) between `finger_sets` of each hand, right first; None if there are none."""
     keys = {stroke.key for stroke in now}
     begins = [stroke.start >= time for stroke in now]
     gaps = tuple([min(max(time - stroke.end, 0.0), _TIME_TO_CROSS) for stroke in before])
@@ -65,13 +65,13 @@ def finger_change_costs(
     for old, gap in zip(before, gaps, strict=True):
         if old.key in keys:
             relations += [
-                _UNRELATED if new.key != old.key else _STRUCK_AGAIN if begun else _HELD
-                for new, begun in zip(now, begins, strict=True)
+                _UNRELATED if new.key != old.key else _STRUCK_AGAIN if is_onset else _HELD
+                for new, is_onset in zip(now, begins, strict=True)
             ]
         elif gap < _TIME_TO_CROSS:
             relations += [
-                (_HIGHER if new.key > old.key else _LOWER) if begun else _UNRELATED
-                for new, begun in zip(now, begins, strict=True)
+                (_HIGHER if new.key > old.key else _LOWER) if is_onset else _UNRELATED
+                for new, is_onset in zip(now, begins, strict=True)
             ]
         else:
             relations += [_UNRELATED] * len(now)
@@ -82,9 +82,9 @@ def finger_change_costs(
 
 @cache
 def _penalised_changes(num_fingers: int) -> Array:
-    """(5, 2, F + 1, F + 1) 1 for the changes from a finger, or none, to another that cost.
+    """(5, 2, F + 1, F + 1) 1 for costly changes from a finger, or none, to another.
 
-    By relation and by hand: the keys of the left one rise towards the thumb.
+    They are by relation and by hand: the keys of the left hand rise towards the thumb.
     """
     to_thumb = np.pad(np.tril(np.ones((num_fingers, num_fingers)), -1), (0, 1))
     to_little = to_thumb.T
@@ -95,7 +95,7 @@ def _penalised_changes(num_fingers: int) -> Array:
     )
 
 
-@lru_cache(maxsize=1024)  # figures come again
+@lru_cache(maxsize=1024)  # patterns recur
 def _costs_of_relations(
     relations: tuple[int, ...], gaps: tuple[float, ...], reach: Reach, costs: Costs
 ) -> tuple[Array, Array]:
