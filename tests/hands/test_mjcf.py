@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cadenza import CadenzaError, SceneConfig
+from cadenza.agents.planner.hand_measurement import ReachMeasurement
 from cadenza.agents.planner.plan.rest_poses import rest_posture
 from cadenza.hands.mjcf import HandFile, Measurement, from_mjcf, measurement_of
 from cadenza.hands.registry import hand_named
@@ -141,6 +142,19 @@ def test_a_hand_is_measured_before_it_plays(tmp_path):
     path.write_text(TOML + "# changed\n")
     with pytest.raises(CadenzaError, match="changed since; run cadenza hand measure"):
         from_mjcf(path)
+
+
+def test_servos_that_overshoot_are_told_gains_with_which_they_do_not(tmp_path):
+    path = write_to(tmp_path)
+    assert not list(ReachMeasurement(HandFile(path).hand(UPRIGHT)).swinging())
+    (tmp_path / "leap.xml").write_text(mjcf().replace('mass="0.02"', 'mass="0.5"'))
+    (line,) = ReachMeasurement(HandFile(path).hand(UPRIGHT)).swinging()
+    found = re.fullmatch(
+        r"\w+ and \d+ more will overshoot .*; try kp = (\S+) and damping = (\S+)", line
+    )
+    path.write_text(TOML.replace("kp = 2.0", f"kp = {found[1]}\ndamping = {found[2]}"))
+    again = ReachMeasurement(HandFile(path).hand(UPRIGHT))
+    assert not [*again.swinging(), *again.slow()]
 
 
 def left_mjcf() -> str:

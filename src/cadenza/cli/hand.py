@@ -32,7 +32,7 @@ def measure(command: MeasureHand) -> None:
     hand = placed[0].hand(placed[1]) if placed else hand_named(command.hand)
     reach = ReachMeasurement(hand)
     print("fingertips at rest:", *reach.at_rest(), sep="\n    ", flush=True)
-    for line in reach.slow() if placed else ():
+    for line in (*reach.slow(), *reach.swinging()) if placed else ():
         print(line, flush=True)
     with progress("measuring", "reaches") as advance:
         measured = {name: values.tolist() for name, values in reach.measure(advance).items()}

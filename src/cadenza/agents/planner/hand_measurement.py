@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 _ABOVE = 0.003  # [m] from the keys to fingers that do not press
 _TOLERANCE = 0.003  # [m]
+_QUICK = 0.05  # [s] the same of a servo that strikes in time
+_LEAST_DAMPED = 0.7  # of critical damping, below which servos overshoot
 _SLOW = 0.07  # [s] damping by stiffness, above which the planner does not time strikes
 _STEP = 0.0025  # [m] between the distances to try
 _STARTS = 3
@@ -242,6 +244,22 @@ class ReachMeasurement:
         ):
             if finger >= 0 and lag > _SLOW:
                 yield f"{name} lags by {1000 * lag:.0f} ms, and strikes late; see damping and kp"
+
+    def swinging(self) -> Iterator[str]:
+        """Yield a line on the servos of fingers that overshoot, with gains at which none would."""
+        servos = self._kinematics.servos
+        critical = 2 * np.sqrt(servos.stiffness * servos.inertia)
+        is_swinging = (servos.finger >= 0) & (servos.damping < _LEAST_DAMPED * critical)
+        if is_swinging.any():
+            heaviest = int(np.argmax(np.where(is_swinging, servos.inertia, 0.0)))
+            inertia, least = servos.inertia[heaviest], 4 * servos.inertia[heaviest] / _QUICK**2
+            stiffness = max(servos.stiffness[heaviest], least)
+            others = int(is_swinging.sum()) - 1
+            which = servos.names[heaviest] + (f" and {others} more" if others else "")
+            yield (
+                f"{which} will overshoot and strike wrong keys, as what moves is heavy; try "
+                f"kp = {stiffness:.2g} and damping = {2 * np.sqrt(stiffness * inertia):.2g}"
+            )
 
     def measure(self, advance: Callable[[int, int], None]) -> dict[ReachField, Array]:
         """The measured fields of `Reach`.
