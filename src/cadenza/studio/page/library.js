@@ -136,7 +136,7 @@ let asked = ""; // what the server is being asked to play
 async function playChosen() {
   instrument.wake();
   const wanted = JSON.stringify(playRequest());
-  if (wanted === asked || (wanted === current?.wanted && !current.over && !isReady())) return;
+  if (wanted === asked || (wanted === current?.wanted && !current.over && !isReady())) return bringIntoView();
   const choiceNumber = ++numChoices;
   asked = wanted;
   try {
