@@ -103,6 +103,22 @@ def drawn(old: str, new: str) -> Callable[[Path], None]:
     ("change", "message"),
     [
         (described('"ring_tip"', '"ring"'), "finger ring: no body of leap.xml is named 'ring'"),
+        (described('palm = "palm"', 'palm = "palms"'), "named 'palms'; did you mean palm[?]"),
+        (described("kp = 2.0", "kp = -1"), "kp -1: give a positive number"),
+        (
+            described('"ring_tip"', '{ tip = "ring3", radius = 8 }'),
+            "finger ring: radius 8: give metres, 0.03 at most",
+        ),
+        (
+            lambda path: (
+                described("[fingers]", "follows = {ring_3={ring_2=1.0}}\n[fingers]")(path),
+                drawn(
+                    'name="ring_3" axis="1 0 0" range="-0.3',
+                    'name="ring_3" axis="1 0 0" range="0.3',
+                )(path),
+            ),
+            r"joint ring_3 follows ring_2 to 0, outside its range \(0.3, 1.8\); correct the file",
+        ),
         (described('palm = "palm"', 'palm = "hand"'), "palm: no body of leap.xml is named 'hand'"),
         (described("kp = 2.0", "kpp = 2.0"), "Unknown field 'kpp'.*; docs/how-to/hand.md says"),
         (described("kp = 2.0", "kp = two"), "Invalid value.*; docs/how-to/hand.md says"),
@@ -155,6 +171,23 @@ def test_servos_that_overshoot_are_told_gains_with_which_they_do_not(tmp_path):
     path.write_text(TOML.replace("kp = 2.0", f"kp = {found[1]}\ndamping = {found[2]}"))
     again = ReachMeasurement(HandFile(path).hand(UPRIGHT))
     assert not [*again.swinging(), *again.slow()]
+
+
+def test_a_joint_follows_another_where_the_length_of_their_tendon_is_fixed(tmp_path):
+    path, fixed = write_to(tmp_path), '<equality><tendon tendon1="t"/></equality>'
+    motor = '<position joint="ring_3" kp="1" forcerange="-1.5 1.5"/>'
+    wrapped = '<joint joint="ring_2" coef="1"/><joint joint="ring_3" coef="-2"/>'
+    text = mjcf().replace(motor, "")
+    tendon = f'<tendon><fixed name="t">{wrapped}</fixed></tendon>{fixed}</mujoco>'
+    (tmp_path / "leap.xml").write_text(text.replace("</mujoco>", tendon))
+    (follower,) = HandFile(path).hand(UPRIGHT).body.followers
+    assert (follower.joint, follower.leader, follower.ratio) == ("ring_3", "ring_2", 0.5)
+
+
+@pytest.mark.parametrize("name", ["leap.xml", "leap.urdf"])
+def test_a_model_alone_is_no_hand(name):
+    with pytest.raises(CadenzaError, match=f"hand '{name}': give a TOML .* docs/how-to/hand.md"):
+        hand_named(name)
 
 
 def left_mjcf() -> str:

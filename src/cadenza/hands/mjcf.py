@@ -7,6 +7,7 @@ import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -47,9 +48,10 @@ ReachField = Literal["rest", "least", "most", "outward", "inward"]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 TOML = ".toml"
-_HOW_TO = "docs/how-to/hand.md says what such a file has"
+HOW_TO = "docs/how-to/hand.md says what such a file has"
 _MAX_LINKS = 3  # of a finger, as capsules that can meet others
 _THIN = 0.008  # [m] radius of a link without shapes
+_LARGEST_TIP = 0.03  # [m] of its radius
 _APART = 0.001  # [m] between the origins of links, for a capsule between them
 _NO_MASS = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}  # MuJoCo wants some
 _STIFF = 1.5  # [N m/rad] from which motions have to be gentle
@@ -144,8 +146,8 @@ def description_of(path: Path) -> Description:
     try:
         content = tomllib.loads(content_of(path).decode())
     except ValueError as error:
-        raise CadenzaError(f"{path}: {error}; {_HOW_TO}") from None
-    return checked(content, Description, path, _HOW_TO)
+        raise CadenzaError(f"{path}: {error}; {HOW_TO}") from None
+    return checked(content, Description, path, HOW_TO)
 
 
 class HandFile:
@@ -165,6 +167,9 @@ class HandFile:
         if content.left and content.mount == "arm":
             raise self.error("left: a hand on an arm is mirrored; leave it out")
         self.description = content.left if side == "left" and content.left else content
+        for name in ("kp", "force", "damping", "armature"):
+            if (value := getattr(self.description, name)) is not None and not 0 < value < math.inf:
+                raise self.error(f"{name} {value:g}: give a positive number")
         self.file = path.parent / self.description.file
         self.left = HandFile(path, "left") if side == "right" and content.left else None
         self.sha256 = sha256_of(path, self.file, *([self.left.file] if self.left else []))
@@ -197,7 +202,13 @@ class HandFile:
             share = start.pop(name, 0.0) / len(coupling.joints)
             start |= dict.fromkeys(coupling.joints, share)
         for each in self._followers.values():
-            start[each.joint] = each.ratio * start.get(each.leader, 0.0)
+            start[each.joint] = where = each.ratio * start.get(each.leader, 0.0)
+            low, high = next(j.range for j in _joints(links) if j.name == each.joint)
+            if not low <= where <= high:
+                raise self.error(
+                    f"joint {each.joint} follows {each.leader} to {where:.2g}, outside its range "
+                    f"({low:.2g}, {high:.2g}); correct the file, or name it in fixed"
+                )
         hand = Hand(
             name=self._path.stem,
             body=Body(
@@ -265,7 +276,13 @@ class HandFile:
         found = int(mujoco.mj_name2id(self._model, kind, name))
         if found < 0:
             what = kind.name.removeprefix("mjOBJ_").lower()
-            raise self.error(f"{of}: no {what} of {self.description.file} is named {quoted(name)}")
+            ids = range(self._model.nbody if what == "body" else self._model.njnt)
+            names = [mujoco.mj_id2name(self._model, kind, each) or "" for each in ids]
+            close = get_close_matches(name, names, n=1)
+            raise self.error(
+                f"{of}: no {what} of {self.description.file} is named {quoted(name)}"
+                f"{f'; did you mean {close[0]}?' if close else ''}"
+            )
         return found
 
     def _line(self, body: int) -> list[int]:
@@ -349,6 +366,10 @@ class HandFile:
                 0
             ]
         radius = tip.radius
+        if radius is not None and not 0 < radius <= _LARGEST_TIP:
+            raise self.error(
+                f"finger {finger}: radius {radius:g}: give metres, {_LARGEST_TIP:g} at most"
+            )
         if radius is None:
             near = [(float(np.linalg.norm(end - centre)), radius) for end, radius in ends]
             radius = min(near)[1] if near else _THIN
@@ -382,10 +403,13 @@ class HandFile:
                 raise self.error(f"joint {names[joint]} follows by more than a ratio; use follows")
             given.add(names[joint])
             yield Follower(names[joint], names[leader], float(ratio))
+        is_length = (model.eq_type == mujoco.mjtEq.mjEQ_TENDON) & (model.eq_obj2id < 0)
+        held = set(model.eq_obj1id[is_length].tolist())  # the tendons whose length is fixed
         for tendon in range(model.ntendon):
             joints, shares = self._wrapped(tendon)
-            slack = np.ptp(model.tendon_range[tendon])
-            if len(joints) != 2 or not model.tendon_limited[tendon] or not set(joints) <= {*names}:
+            slack = 0.0 if tendon in held else np.ptp(model.tendon_range[tendon])
+            is_limited = tendon in held or model.tendon_limited[tendon]
+            if len(joints) != 2 or not is_limited or not set(joints) <= {*names}:
                 continue
             for (joint, share), (leader, other) in (
                 ((joints[0], shares[0]), (joints[1], shares[1])),

@@ -1,7 +1,8 @@
 """Hands by name."""
 
+from cadenza.errors import CadenzaError, quoted
 from cadenza.hands.hand import Hand
-from cadenza.hands.mjcf import TOML, from_mjcf
+from cadenza.hands.mjcf import HOW_TO, TOML, from_mjcf
 from cadenza.registry import Entry, Registry
 
 HANDS = Registry(
@@ -19,10 +20,15 @@ HANDS = Registry(
     },
     otherwise=f"module:Name or NAME{TOML}",
 )
+_MODELS = ".xml", ".mjcf", ".urdf"  # endings
 
 
 def hand_named(name: str) -> Hand:
     """The hand called `name`, or of a TOML file; raises CadenzaError if there is none, or wrong."""
     if name.endswith(TOML):
         return from_mjcf(name)
+    if name.endswith(_MODELS):
+        raise CadenzaError(
+            f"hand {quoted(name)}: give a TOML that says what is what in it; {HOW_TO}"
+        )
     return HANDS.load(name, Hand)
