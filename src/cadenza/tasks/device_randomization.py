@@ -20,6 +20,7 @@ from cadenza.tasks.draw_ranges import (
     DrawRanges,
     moved_setpoints,
 )
+from cadenza.tasks.senses import sensed_state
 
 with extra_packages("gpu", "the engine warp"):
     import jax
@@ -201,23 +202,8 @@ class DeviceRandomization:
         return draws._replace(wandered=wandered, offset=offset + self._of(draws, BIAS) + wandered)
 
     def sensed(self, draws: Draws, state: State) -> State:
-        """The true state as sensors have it, see `cadenza.tasks.senses.Senses.sensed`.
-
-        Fingertips, which nobody observes, are where they are.
-        """
+        """The true state as sensors have it; fingertips, which nobody observes, are as they are."""
+        late = None
         if draws.past is not None:
-            now = jnp.arange(self._num_envs), -1 - self._of(draws, OBSERVATION_LATENCY)
-            qpos, qvel, key_qpos, touch = (past[now] for past in draws.past)
-            onset, offset, speed = jnp.moveaxis(draws.heard[:, 0], 1, 0)
-            state = state._replace(hand_qpos=qpos, hand_qvel=qvel, key_qpos=key_qpos, touch=touch)
-            state = state._replace(key_onset=onset, key_offset=offset, key_speed=speed)
-        joints, travel = state.hand_qpos.shape[1], self._ranges.scene.keyboard.travel
-        ends = [joints, joints + len(travel)]
-        of_joints, of_keys, of_touch = jnp.split(draws.offset, ends, axis=1)
-        state = state._replace(
-            hand_qpos=state.hand_qpos + of_joints, touch=(state.touch + of_touch).clip(0.0)
-        )
-        if not self._ranges.config.key_noise:
-            return state
-        pressed = (state.key_qpos / travel + of_keys).clip(0.0, 1.0)
-        return state._replace(key_qpos=pressed * travel)
+            late = self._of(draws, OBSERVATION_LATENCY), draws.past, draws.heard
+        return sensed_state(self._ranges, state, draws.offset, late)

@@ -14,6 +14,37 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
 
+def sensed_state(
+    ranges: DrawRanges, state: State, offset: Any, late: tuple[Any, Path, Any] | None
+) -> State:
+    """The true state as sensors have it, but for fingertips, of NumPy or JAX.
+
+    Args:
+        ranges: those of the sensors.
+        state: the true state.
+        offset: (N, J + K + F) what joints [m, rad], key states and touch [N] are off.
+        late: None if nothing is; else the physics steps (N,) by which sensors are late, the past
+            states, the newest last, and (N, W, 3, K) onsets, offsets and speeds of keys that are
+            heard of in the next W steps.
+    """
+    if late is not None:
+        steps, past, heard = late
+        now = np.arange(len(steps)), -1 - steps
+        qpos, qvel, key_qpos, touch = (values[now] for values in past)
+        onset, end, speed = heard[:, 0].swapaxes(0, 1)
+        state = state._replace(hand_qpos=qpos, hand_qvel=qvel, key_qpos=key_qpos, touch=touch)
+        state = state._replace(key_onset=onset, key_offset=end, key_speed=speed)
+    joints, travel = state.hand_qpos.shape[1], ranges.scene.keyboard.travel
+    of_joints, of_keys = offset[:, :joints], offset[:, joints : joints + len(travel)]
+    of_touch = offset[:, joints + len(travel) :]
+    touch = (state.touch + of_touch).clip(0.0)
+    state = state._replace(hand_qpos=state.hand_qpos + of_joints, touch=touch)
+    if not ranges.config.key_noise:
+        return state
+    pressed = (state.key_qpos / travel + of_keys).clip(0.0, 1.0)
+    return state._replace(key_qpos=pressed * travel)
+
+
 class Senses:
     """The sensors of N environments.
 
@@ -105,31 +136,16 @@ class Senses:
         """
         if not self._is_off and self.path is None:
             return state
-        if self.path is not None:
-            now = np.arange(len(self._late)), -1 - self._late
-            qpos, qvel, key_qpos, touch = (past[now] for past in self._history)
-            onset, offset, speed = self._heard[:, 0].swapaxes(0, 1)
-            state = state._replace(hand_qpos=qpos, hand_qvel=qvel, key_qpos=key_qpos, touch=touch)
-            state = state._replace(key_onset=onset, key_offset=offset, key_speed=speed)
-        joints, travel = state.hand_qpos.shape[1], self._ranges.scene.keyboard.travel
-        of_joints, of_keys, of_touch = np.split(
-            self._offset, [joints, joints + len(travel)], axis=1
-        )
-        qpos = state.hand_qpos + of_joints
-        state = state._replace(hand_qpos=qpos, fingertip_xpos=self._fingertips(state, qpos))
-        if self._ranges.config.key_noise:
-            pressed = (state.key_qpos / travel + of_keys).clip(0.0, 1.0)
-            state = state._replace(key_qpos=pressed * travel)
-        if of_touch.any():
-            state = state._replace(touch=(state.touch + of_touch).clip(0.0))
-        return state
+        late = None if self.path is None else (self._late, self._history, self._heard)
+        state = sensed_state(self._ranges, state, self._offset, late)
+        return state._replace(fingertip_xpos=self._fingertips(state))
 
-    def _fingertips(self, state: State, qpos: Array) -> Array:
+    def _fingertips(self, state: State) -> Array:
         """(N, F, 3) where fingertips would be on the nominal robot with these joints [m]."""
         tips, scene = state.fingertip_xpos.copy(), self._ranges.scene
         if scene.sides:
             self._kinematics = kinematics = self._kinematics or Kinematics(scene)
-            postures = qpos @ kinematics.servos.of_joints
+            postures = state.hand_qpos @ kinematics.servos.of_joints
             tips[:, scene.present_fingers] = kinematics.points(postures)[:, :, TIP]
         return tips
 
