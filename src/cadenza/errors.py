@@ -181,12 +181,15 @@ def extra_packages(extra: str, what: str) -> Iterator[None]:
 def by_others(what: str) -> Iterator[None]:
     """Turn all errors of user's code in the block into a `CadenzaError` that begins with `what`.
 
-    The error itself is its cause. An OSError stays one.
+    The error itself is its cause. An OSError stays one, unless it is of a connection, which names
+    nothing.
     """
     try:
         yield
-    except (CadenzaError, OSError):
-        raise
+    except (CadenzaError, OSError) as error:
+        if not isinstance(error, TimeoutError | ConnectionError):
+            raise
+        raise CadenzaError(f"{what}: {with_place(error)}") from error
     except (Exception, SystemExit) as error:  # a module may end the process
         if lacks_memory(error):
             raise CadenzaError(explained(error)) from error

@@ -15,11 +15,12 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.robot.closed_loop import ClosedLoop
 from cadenza.agents.robot.places import HandPlaces
 from cadenza.agents.robot.practice import RobotPractice, Take
-from cadenza.agents.robot.protocol import Heard, in_turn, notes_heard, play
+from cadenza.agents.robot.protocol import CheckedRobot, Heard, in_turn, notes_heard, play
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.agents.rollout import EpisodeResult, begin_episodes, play_episode
 from cadenza.cli import main
+from cadenza.errors import by_others
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.scene import build_scene
@@ -200,6 +201,47 @@ def test_what_goes_with_no_robot_is_refused(tmp_path: Path) -> None:
     for words in (["--robot", "1", "--minutes", "1"], ["--robot", "nobody"]):
         with pytest.raises((CadenzaError, SystemExit)):
             main(["practice", str(tmp_path / "tune.mid"), *words, "-o", str(tmp_path / "out")])
+
+
+class Driver:
+    """A driver that measures and hears what it is told to."""
+
+    def __init__(self, joints: object = (0.0, 0.0), heard: object = ()) -> None:
+        self.joints, self.messages = joints, heard
+
+    def start(self) -> None: ...
+
+    def send(self, action: object) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def read(self) -> object:
+        return self.joints
+
+    def heard(self) -> object:
+        return self.messages
+
+
+def checked(driver: Driver) -> CheckedRobot:
+    return CheckedRobot(driver, "hands", 2)  # type: ignore[arg-type]
+
+
+def test_what_a_driver_says_is_checked() -> None:
+    heard = checked(Driver(heard=[[0.1, 72.0, 64.0], (0.2, np.int64(72), 0)])).heard()
+    assert heard == [Heard(0.1, 72, 64.0), Heard(0.2, 72, 0.0)]
+    assert isinstance(heard[0].pitch, int)
+    for joints in ([0.0], 0.0, [0.0, np.nan]):
+        with pytest.raises(CadenzaError, match=r"^robot hands: read\(\) returned numbers of shape"):
+            checked(Driver(joints)).read()
+    for message in ((0.1, 72.5, 64), (0.1, 128, 64), (np.inf, 72, 64), (0.1, 72, 200)):
+        with pytest.raises(CadenzaError, match=r"^robot hands: heard\(\) returned"):
+            checked(Driver(heard=[message])).heard()
+
+
+def test_a_lost_connection_says_of_what() -> None:
+    message = "^robot hands: play 1 failed: TimeoutError: timed out"
+    with pytest.raises(CadenzaError, match=message), by_others("robot hands: play 1 failed"):
+        raise TimeoutError("timed out")
 
 
 def test_another_profile() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.robot.practice import ScoredPlay, learn_in_ten_plays
-from cadenza.agents.robot.protocol import Robot
+from cadenza.agents.robot.protocol import CheckedRobot, Robot
 from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.agents.rollout import begin_episodes, play_episode
 from cadenza.errors import CadenzaError, by_others
@@ -60,7 +60,10 @@ def practise(
     setup.agent.close()  # it has played, and what it started has ended and counts
     if nominal.plan is None:
         raise CadenzaError("a robot practises what the planner plays: choose no other agent")
-    there = simulated(setup, int(robot), profile) if robot.isdigit() else _driver(robot)
+    if robot.isdigit():
+        there: Robot = simulated(setup, int(robot), profile)
+    else:
+        there = _driver(robot, len(setup.task.scene.hand_joint_names))
     known = PROFILES[profile]
     plays = learn_in_ten_plays(there, view, nominal.plan, nominal.episode, known)
     takes = list[ScoredPlay]()
@@ -91,9 +94,8 @@ def simulated(setup: Setup, robot: int, profile: Profile) -> SimulatedRobot:
     return SimulatedRobot(env)
 
 
-def _driver(name: str) -> Robot:
+def _driver(name: str, num_joints: int) -> Robot:
     """Somebody's driver; raises CadenzaError if there is none, or it cannot be made."""
     driver = ROBOTS.load(name, type)
     with by_others(f"robot {name}: cannot be made"):
-        made: Robot = driver()
-    return made
+        return CheckedRobot(driver(), name, num_joints)

@@ -8,9 +8,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from cadenza.agents.agent import Array
+from cadenza.errors import CadenzaError, quoted
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.performance import KeyEvent, SoundedNotes
-from cadenza.music.score import Note, Score
+from cadenza.music.score import LOUDEST, MIDI_PITCHES, Note, Score
 from cadenza.tasks.goal_track import GoalTrack
 
 
@@ -45,6 +46,40 @@ class Robot(Protocol):
 
     def stop(self) -> None:
         """End the play, even after an error: the hands may go limp."""
+
+
+class CheckedRobot:
+    """A robot by a driver of others, whose joints and messages are checked.
+
+    Its methods raise CadenzaError for what no robot measures or no instrument says.
+    """
+
+    def __init__(self, driver: Robot, name: str, num_joints: int) -> None:
+        self._driver, self._name, self._num_joints = driver, name, num_joints
+        self.start, self.send, self.stop = driver.start, driver.send, driver.stop
+
+    def read(self) -> Array:
+        """See `Robot.read`."""
+        joints = np.asarray(self._driver.read(), np.float64)
+        if joints.shape != (self._num_joints,) or not np.isfinite(joints).all():
+            raise CadenzaError(
+                f"robot {self._name}: read() returned numbers of shape {joints.shape}: give "
+                f"({self._num_joints},) finite ones, in the order of scene.hand_joint_names"
+            )
+        return joints
+
+    def heard(self) -> list[Heard]:
+        """See `Robot.heard`."""
+        return [self._message(each) for each in self._driver.heard()]
+
+    def _message(self, given: Sequence[float]) -> Heard:
+        time, pitch, velocity = map(float, given)
+        if not (np.isfinite(time) and pitch in MIDI_PITCHES and 0 <= velocity <= LOUDEST):
+            raise CadenzaError(
+                f"robot {self._name}: heard() returned {quoted(tuple(given))}: give the time [s], "
+                f"the MIDI number of the key, and 0 to {LOUDEST}"
+            )
+        return Heard(time, int(pitch), velocity)
 
 
 class Play(NamedTuple):
