@@ -141,6 +141,10 @@ def test_says_what_a_published_option_is_here():
             gym.make("cadenza/Piano-v0", song=SHORT, **option)
     with pytest.raises(CadenzaError, match="random_stretch"):
         load(midi_file="no.mid", task_kwargs={"augmentations": []})
+    with pytest.raises(
+        CadenzaError, match="does not come with Cadenza; give its file as midi_file"
+    ):
+        load("RoboPianist-debug-TwinkleTwinkleRousseau-v0")
     with pytest.raises(CadenzaError, match="RoboPianist-debug-CMajorScaleOneHand-v0"):
         load("Twinkle")
     with pytest.raises(CadenzaError, match=r"task\.state"):

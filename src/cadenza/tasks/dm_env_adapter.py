@@ -20,6 +20,7 @@ from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.published import DEFAULTS, translated
 
 _STATISTICS = "return", "length"
+_NOT_HERE = "Rousseau"  # two published pieces are arrangements by him
 _NAME = re.compile(r"RoboPianist-(debug|etude-12|repertoire-150)-(\w+)-v0")
 
 
@@ -57,6 +58,11 @@ def load(
             "RoboPianist-debug-CMajorScaleOneHand-v0, or a midi_file"
         )
     library, piece = named.groups() if named else ("", "")
+    if midi_file is None and piece.endswith(_NOT_HERE):
+        raise CadenzaError(
+            f"{environment_name}: this arrangement does not come with Cadenza; give its file as "
+            "midi_file"
+        )
     song = midi_file or (piece if library == "debug" else f"{library}/{piece}")
     options = {**DEFAULTS, "stretch": stretch, "transpose": shift, **translated(task_kwargs or {})}
     return DmEnvAdapter(PianoEnv(song, **options), seed, deque_size, actuator_units=True)

@@ -157,5 +157,7 @@ def configure(
             f"{', '.join(sorted({*names, 'setup'}))}"
         )
 
+    if (profile := options.get("randomization")) in tuple(robots.PROFILES):
+        raise CadenzaError(f"randomization {quoted(profile)}: a profile is a setup={profile!r}")
     task = replace(as_config(task, TaskConfig), **_options_of(TaskConfig, options))
     return task, replace(as_config(scene, SceneConfig), **_options_of(SceneConfig, options))
