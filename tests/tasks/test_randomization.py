@@ -548,7 +548,7 @@ def test_a_spec_has_it_as_a_dictionary_or_a_value():
         ({"mass": (1.0, 1.0, 1.0)}, "randomization.mass .* give 2 of them"),
         ({"weight": (1.0, 2.0)}, "randomization has no 'weight': choose from mass, friction"),
         (0.1, "randomization 0.1: give a DomainRandomization or a dictionary"),
-        ("harsh", "randomization 'harsh': a profile is a setup: setup='harsh'"),
+        ("harsh", "randomization 'harsh': a profile is a setup='harsh'"),
     ],
 )
 def test_says_what_makes_no_sense(options, message):
