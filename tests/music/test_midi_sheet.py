@@ -65,6 +65,16 @@ def test_words_of_tempo_are_on_the_sheet_and_play_nothing(tmp_path):
         assert [n.start for n in again.notes] == pytest.approx([n.start for n in NOTES], abs=0.02)
 
 
+def test_what_is_sung_is_no_word_of_tempo(tmp_path):
+    write_midi_sheet(SONG, tmp_path / "song.mid")
+    file = mido.MidiFile(tmp_path / "song.mid")
+    for text in ("presto", "/Allegro ", "@KMIDI KARAOKE FILE"):
+        file.tracks[1].insert(0, mido.MetaMessage("text", text=text))
+    file.tracks[1].insert(0, mido.MetaMessage("marker", text="Adagio"))
+    file.save(tmp_path / "song.mid")
+    assert next(bar.words for bar in read_midi(tmp_path / "song.mid").bars) == ((0.0, "Adagio"),)
+
+
 @pytest.mark.parametrize("later", [-0.7, -1e-10, 0.0, 0.3])
 def test_all_times_are_kept_wherever_the_bars_begin(later, tmp_path):
     moved = replace(SONG, bars=tuple(bar.moved(lambda time: time + later) for bar in BARS))

@@ -138,6 +138,7 @@ def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
 
 
 _KARAOKE_TITLE, _KARAOKE = "@T", "soft karaoke"
+_SUNG = b"@", b"\\", b"/"  # with which texts of karaoke, and lines in it, begin
 
 
 def _title(tracks: list[list[Message]]) -> str:
@@ -311,9 +312,10 @@ def _keys(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, int]]:
 
 
 def _words(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, str]]:
-    """The words of tempo among texts and markers, by ticks."""
-    said = (each for track in tracks for each in track if each.kind in (TEXT, MARKER))
-    texts = {(each.tick, _text(each.data)) for each in said}
+    """The words of tempo among markers, and among texts but those that are sung, by ticks."""
+    said = [each for track in tracks for each in track if each.kind in (TEXT, MARKER)]
+    is_sung = any(each.kind == TEXT and each.data.startswith(_SUNG) for each in said)
+    texts = {(each.tick, _text(each.data)) for each in said if not is_sung or each.kind == MARKER}
     return sorted(each for each in texts if is_of_tempo(each[1]))
 
 
