@@ -347,6 +347,44 @@ def test_a_tempo_that_changes_by_degrees_is_shown_once_it_has_changed(tmp_path):
     assert len(shown) > 1
 
 
+def rolled(pitches, start, step, end, hands=(LEFT,)):
+    """A chord whose notes begin one after the other."""
+    places = [(start + step * i, pitch, hands[i % len(hands)]) for i, pitch in enumerate(pitches)]
+    return [Note(begin, end, pitch, hands=(hand,)) for begin, pitch, hand in places]
+
+
+@pytest.mark.parametrize("late", [0.0, -0.13])  # on the beat, and before it
+def test_a_rolled_chord_is_a_chord_with_its_sign(late, tmp_path):
+    places = ((2 + late, 3.8), (4 + late, 5.8), (6 + late, 8))
+    chords = [rolled([40, 47, 52, 56], start, 0.043, end) for start, end in places]
+    melody = [Note(0.5 * n, 0.5 * n + 0.5, 64 + n % 5, hands=(RIGHT,)) for n in range(16)]
+    song = Score((*melody, *(note for chord in chords for note in chord)), bars=bars(4))
+    root = written(song, tmp_path)
+    assert values(root, 2) == ["whole"] * 12
+    assert len(root.findall(".//arpeggiate")) == 12
+    assert not root.findall(".//arpeggiate[@number]")
+    again = read_musicxml(tmp_path / "song.musicxml")
+    starts = [[n.start for n in score.notes if n.pitch < 60] for score in (song, again)]
+    assert starts[1] == pytest.approx(starts[0], abs=0.02 - late)
+
+
+def test_a_chord_that_is_rolled_through_both_hands_has_one_sign(tmp_path):
+    chord = rolled([76, 67, 55, 48], 0, 0.05, 2, hands=(RIGHT, RIGHT, LEFT, LEFT))
+    root = written(Score(tuple(chord), bars=bars(1)), tmp_path)
+    signs = root.findall(".//arpeggiate")
+    assert [(sign.get("number"), sign.get("direction")) for sign in signs] == [("1", "down")] * 4
+    assert values(root) == values(root, 2) == ["whole"] * 2
+
+
+def test_notes_that_are_written_one_after_the_other_are_not_rolled(tmp_path):
+    held = rolled([48, 52, 55, 60], 0, 0.0625, 2)  # 32nds
+    others = line([72, 74, 76, 77], 0.5)
+    late = [Note(0.0, 1, 36, hands=(LEFT,)), Note(0.04, 1, 84, hands=(RIGHT,))]  # as people play
+    for notes in ([*held, *others], late):
+        root = written(Score(tuple(notes), bars=bars(1)), tmp_path)
+        assert not root.findall(".//arpeggiate")
+
+
 def test_a_bar_of_minutes_can_be_read_again(tmp_path):
     song = Score((Note(0, 1, 60), Note(501, 502, 62)), bars=(Bar(0.0, 1), Bar(502.0, 2)))
     write_musicxml(song, tmp_path / "song.musicxml")

@@ -54,6 +54,13 @@ def drawn_notes(engraving):
     return [note for drawing in drawings(engraving) for note in drawing.iter("g")]
 
 
+def test_the_sign_of_a_rolled_chord_is_turned_in_a_pdf(tmp_path):
+    chord = [Note(0.05 * i, 2.0, pitch) for i, pitch in enumerate((60, 64, 67, 72))]
+    write_pdf(Score(tuple(chord), bars=(Bar(0.0, 1, (0.0, 0.5, 1.0, 1.5)),)), tmp_path / "a.pdf")
+    (page,) = pages_of(tmp_path / "a.pdf")
+    assert re.search(r"q -?0\.0000 -1\.0000 1\.0000 -?0\.0000 [-\d.]+ [-\d.]+ cm\nq 1 0 0 1", page)
+
+
 def test_every_note_is_drawn_with_all_that_it_is_tied_to(score):
     sheet = sheet_of(score)
     numbers = [int(note.get("data-note")) for note in drawn_notes(engraved(sheet))]

@@ -205,6 +205,9 @@ class _Drawer:
                 yield from self._text(element, style)
             elif kind != "g":
                 yield _shape(kind, element)
+            elif "arpeg" in names:  # of wavy glyphs that are turned
+                within = "".join(self._shapes(element, outlines, style))
+                yield f'<g transform="{element.get("transform", "")}">{within}</g>'
             elif "note" in names and (number := _NOTE_ID.fullmatch(element.get("id", ""))):
                 within = "".join(self._shapes(element, outlines, style))
                 yield f'<g class="note" data-note="{number[1]}">{within}</g>'

@@ -4,6 +4,8 @@ What Verovio engraves is shapes, glyphs and a few texts, which PDF has operators
 Texts are in the Times that every reader of PDF has; accents that its encoding lacks are left out.
 """
 
+import cmath
+import math
 import re
 import unicodedata
 import zlib
@@ -117,7 +119,10 @@ def _drawn(parent: Element, glyphs: Mapping[str, str]) -> Iterator[str]:
     for shape in parent:
         value = {name: float(v) for name, v in shape.items() if _NUMBER.fullmatch(v)}
         if shape.tag == "g":
-            yield from _drawn(shape, glyphs)
+            turn = _turned(shape.get("transform", ""))
+            yield from (
+                (f"q {turn} cm", *_drawn(shape, glyphs), "Q") if turn else _drawn(shape, glyphs)
+            )
         elif shape.tag == "use":
             glyph = glyphs[shape.attrib["href"][1:]]
             yield f"q 1 0 0 1 {value['x']:g} {value['y']:g} cm {glyph} f Q"
@@ -130,6 +135,17 @@ def _drawn(parent: Element, glyphs: Mapping[str, str]) -> Iterator[str]:
             yield f"q {value['rx'] + value['ry']:g} w 1 J {place} m {place} l S Q"
         else:
             yield _painted(shape, value)
+
+
+def _turned(transform: str) -> str:
+    """Return the matrix of a rotation about a point; nothing without one."""
+    if not transform.startswith("rotate"):
+        return ""
+    angle, x, y = map(float, _NUMBER.findall(transform))
+    turn, centre = cmath.rect(1.0, math.radians(angle)), complex(x, y)
+    moved = centre - turn * centre
+    a, b = turn.real, turn.imag
+    return f"{a:.4f} {b:.4f} {-b:.4f} {a:.4f} {moved.real:.2f} {moved.imag:.2f}"
 
 
 def _painted(shape: Element, value: Mapping[str, float]) -> str:

@@ -309,6 +309,12 @@ def _notations(symbol: Symbol, note: Note | None, is_first: bool) -> Element:
         placement = "above" if note.finger.hand == RIGHT else "below"
         technical = SubElement(notations, "technical")
         _text(technical, "fingering", note.finger.index + 1).set("placement", placement)
+    if note is not None and symbol.roll is not None:
+        arpeggio = SubElement(notations, "arpeggiate")
+        if symbol.roll.of_both:
+            arpeggio.set("number", "1")
+        if not symbol.roll.is_up:
+            arpeggio.set("direction", "down")
     return notations
 
 

@@ -71,13 +71,18 @@ class _OnsetGroup:
 
 def are_exact(onsets: Sequence[float], metre: Metre) -> bool:
     """Whether `onsets` [ticks] are where notation has them, and not as somebody played."""
+    return sum(on_grid(onsets, metre)) >= _MOSTLY * len(onsets)
+
+
+def on_grid(onsets: Sequence[float], metre: Metre) -> list[bool]:
+    """Which `onsets` [ticks] are where notation has them."""
     ticks = metre.ticks.tolist()
-    num_exact = 0
+    found = []
     for onset in onsets:
         cell = _cell(ticks, onset)
         at = (onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
-        num_exact += any(abs(at - round(at * parts) / parts) < _NEAR for parts in _COMMON)
-    return num_exact >= _MOSTLY * len(onsets)
+        found.append(any(abs(at - round(at * parts) / parts) < _NEAR for parts in _COMMON))
+    return found
 
 
 def quantised(

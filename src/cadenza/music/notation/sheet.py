@@ -23,7 +23,8 @@ from cadenza.music.notation.marks import (
 )
 from cadenza.music.notation.metre import Measure, Metre, metre_of
 from cadenza.music.notation.note_values import Divisions, Value, tuplet_values, values
-from cadenza.music.notation.quantising import Stream, are_exact, quantised
+from cadenza.music.notation.quantising import Stream, are_exact, on_grid, quantised
+from cadenza.music.notation.rolls import Roll, unrolled
 from cadenza.music.notation.spelling import Spelling, spelled, spelled_in
 from cadenza.music.notation.voices import LOWER, UPPER, Timed, staves, voices
 from cadenza.music.repair import counted_remarks
@@ -35,12 +36,16 @@ _USUAL_CLEF = {RIGHT: TREBLE, LEFT: BASS}
 
 @dataclass(frozen=True, slots=True)
 class Symbol:
-    """A chord, or a rest without notes, of one value; `tied` to the one before or `ties` on."""
+    """A chord, or a rest without notes, of one value; `tied` to the one before or `ties` on.
+
+    `roll` is whether and how all or some of its notes are rolled.
+    """
 
     value: Value
     notes: tuple[tuple[Note, Spelling], ...] = ()
     tied: bool = False
     ties: bool = False
+    roll: Roll | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,15 +112,23 @@ def sheet_of(score: Score) -> Sheet:
     if not score.notes:
         raise CadenzaError("there are no notes to be written")
     metre = metre_of(score)
-    onsets = metre.place([note.start for note in score.notes]).tolist()
+    places = (
+        metre.place([getattr(n, end) for n in score.notes]).tolist() for end in ("start", "end")
+    )
+    played = [Timed(*each) for each in zip(score.notes, *places, strict=True)]
+    onsets = [each.onset for each in played]
     is_exact = are_exact(onsets, metre)
-    streams, left_out = _streams(score.notes, onsets, metre, is_exact)
+    is_free = [not (is_exact and each) for each in on_grid(onsets, metre)]
+    timed, rolls = unrolled(played, staves(score.notes), is_free)
+    is_exact |= are_exact([each.onset for each in timed], metre)
+    streams, left_out = _streams(timed, metre, is_exact)
     every = [stream for pair in streams for stream in pair]
     keys, names = _keys_and_names(score.notes, every, metre.measures)
     divisions = [Divisions(measure) for measure in metre.measures]
     begins = [measure.start for measure in metre.measures]
     of_hands = [
-        _staves(streams[hand], _USUAL_CLEF[hand], metre, divisions, names) for hand in (RIGHT, LEFT)
+        _staves(streams[hand], _USUAL_CLEF[hand], metre, divisions, names, rolls)
+        for hand in (RIGHT, LEFT)
     ]
     marks = dynamics(_by_measure(begins, every, "velocity"))
     of_tempo = _grouped(begins, tempos(metre, score.bars))
@@ -161,12 +174,10 @@ def _keys_and_names(
 
 
 def _streams(
-    notes: Sequence[Note], onsets: Sequence[float], metre: Metre, is_exact: bool
+    timed: Sequence[Timed], metre: Metre, is_exact: bool
 ) -> tuple[list[list[Stream]], int]:
     """The upper and the lower voice of each hand, and the number of notes left out."""
-    ends = metre.place([note.end for note in notes]).tolist()
-    timed = [Timed(*each) for each in zip(notes, onsets, ends, strict=True)]
-    hands = staves(notes)
+    hands = staves([each.note for each in timed])
     parts: list[list[Timed]] = []
     for hand in (RIGHT, LEFT):
         own = [each for each, where in zip(timed, hands, strict=True) if where == hand]
@@ -185,13 +196,16 @@ def _staves(
     metre: Metre,
     divisions: Sequence[Divisions],
     names: dict[int, Spelling],
+    rolls: dict[int, Roll],
 ) -> list[Staff]:
     """The staff of a hand in each measure."""
     begins = [measure.start for measure in metre.measures]
     pitches = _by_measure(begins, streams, "pitch")
     changing = clefs(pitches, usual_clef)
     cells = metre.ticks.tolist()
-    written = [_written(stream, metre.measures, divisions, cells, names) for stream in streams]
+    written = [
+        _written(stream, metre.measures, divisions, cells, names, rolls) for stream in streams
+    ]
     return [
         Staff(clef, _used(upper, lower), octave)
         for clef, octave, upper, lower in zip(
@@ -230,6 +244,7 @@ def _written(
     divisions: Sequence[Divisions],
     cells: list[int],
     names: dict[int, Spelling],
+    rolls: dict[int, Roll],
 ) -> list[tuple[Symbol, ...]]:
     """The symbols of a voice in each measure, with rests."""
     bars = []
@@ -249,8 +264,12 @@ def _written(
                 end = min(chord.end, measure.end)
                 in_order = sorted(chord.notes, key=lambda note: note.pitch)
                 notes = tuple((note, names[id(note)]) for note in in_order)
+                roll = next((rolls[id(n)] for n in in_order if id(n) in rolls), None)
                 symbols += (
-                    Symbol(value, notes, value.start > chord.start, value.end < chord.end)
+                    Symbol(
+                        *(value, notes, value.start > chord.start, value.end < chord.end),
+                        roll if value.start == chord.start else None,
+                    )
                     for value in _values(now, end, stream, division, cells, is_rest=False)
                 )
             now = end
