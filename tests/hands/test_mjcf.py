@@ -166,11 +166,14 @@ def test_servos_that_overshoot_are_told_gains_with_which_they_do_not(tmp_path):
     (tmp_path / "leap.xml").write_text(mjcf().replace('mass="0.02"', 'mass="0.5"'))
     (line,) = ReachMeasurement(HandFile(path).hand(UPRIGHT)).swinging()
     found = re.fullmatch(
-        r"\w+ and \d+ more will overshoot .*; try kp = (\S+) and damping = (\S+)", line
+        r"servos that overshoot .*: \w+ and \d+ more; try kp = (\S+) and damping = (\S+)", line
     )
     path.write_text(TOML.replace("kp = 2.0", f"kp = {found[1]}\ndamping = {found[2]}"))
     again = ReachMeasurement(HandFile(path).hand(UPRIGHT))
     assert not [*again.swinging(), *again.slow()]
+    path.write_text(TOML.replace("kp = 2.0", "damping = 1.0"))
+    (late,) = ReachMeasurement(HandFile(path).hand(UPRIGHT)).slow()
+    assert late == "servos that strike late, by 1000 ms: thumb_0 and 15 more; see damping and kp"
 
 
 def test_a_joint_follows_another_where_the_length_of_their_tendon_is_fixed(tmp_path):

@@ -4,7 +4,8 @@ Postures are found by `scipy.optimize.least_squares`, with forearms free to slid
 pass through each other there, `least` is bounded by the distance of neighbouring keys.
 """
 
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
 
@@ -200,6 +201,11 @@ class _HoverProblem:
         return lifts
 
 
+def _some(names: Sequence[str]) -> str:
+    """The first of some names, and how many more there are."""
+    return names[0] + (f" and {len(names) - 1} more" if names[1:] else "")
+
+
 class ReachMeasurement:
     """The right hand as a function from its servos to its fingertips, and how far they reach.
 
@@ -237,13 +243,14 @@ class ReachMeasurement:
             )
 
     def slow(self) -> Iterator[str]:
-        """Yield a line on each servo of a finger that keeps it from striking in time."""
-        servos = self._kinematics.servos
-        for name, finger, lag in zip(
-            servos.names, servos.finger, servos.damping / servos.stiffness, strict=True
-        ):
+        """Yield a line on the servos of fingers that strike late, for each lag."""
+        servos, late = self._kinematics.servos, defaultdict[int, list[str]](list)
+        lags = servos.damping / servos.stiffness
+        for name, finger, lag in zip(servos.names, servos.finger, lags, strict=True):
             if finger >= 0 and lag > _SLOW:
-                yield f"{name} lags by {1000 * lag:.0f} ms, and strikes late; see damping and kp"
+                late[round(1000 * lag)].append(name)
+        for ms, names in sorted(late.items(), reverse=True):
+            yield f"servos that strike late, by {ms} ms: {_some(names)}; see damping and kp"
 
     def swinging(self) -> Iterator[str]:
         """Yield a line on the servos of fingers that overshoot, with gains at which none would."""
@@ -254,11 +261,11 @@ class ReachMeasurement:
             heaviest = int(np.argmax(np.where(is_swinging, servos.inertia, 0.0)))
             inertia, least = servos.inertia[heaviest], 4 * servos.inertia[heaviest] / _QUICK**2
             stiffness = max(servos.stiffness[heaviest], least)
-            others = int(is_swinging.sum()) - 1
-            which = servos.names[heaviest] + (f" and {others} more" if others else "")
+            names = [servos.names[i] for i in np.flatnonzero(is_swinging)]
             yield (
-                f"{which} will overshoot and strike wrong keys, as what moves is heavy; try "
-                f"kp = {stiffness:.2g} and damping = {2 * np.sqrt(stiffness * inertia):.2g}"
+                f"servos that overshoot and strike wrong keys, as what they move is heavy: "
+                f"{_some(names)}; try kp = {stiffness:.2g} and damping = "
+                f"{2 * np.sqrt(stiffness * inertia):.2g}"
             )
 
     def measure(self, advance: Callable[[int, int], None]) -> dict[ReachField, Array]:

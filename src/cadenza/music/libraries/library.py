@@ -91,6 +91,7 @@ def open_library(spec: str | Path) -> Library:
     else:
         close = get_close_matches(name, list(libraries()), n=1)
         hint = f"did you mean {close[0]}? " if close else ""
+        hint = "give one song, or a folder of several; " if "," in text else hint
         raise CadenzaError(
             f"no song library {quoted(text)}: {hint}run `cadenza libraries` for all "
             "names, or give the "
