@@ -392,6 +392,10 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         ),
         (lambda: PianoEnv(SHORT).reset(options={"songs": 0}), "no option 'songs' of reset"),
         (
+            lambda: PianoVectorEnv(SHORT, 2).reset(options=[{"step": 1}, None]),
+            "options .* of reset: give a dictionary, whose values may be lists",
+        ),
+        (
             lambda: gym.make(ID, num_envs=2),
             r"num_envs: this is one environment; make several with gymnasium\.make_vec",
         ),

@@ -488,9 +488,14 @@ class PianoEnv(gymnasium.Env):
 def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     """The options of a reset, none by default.
 
-    Raises CadenzaError if there is no such option. If it were ignored, songs would be drawn
-    instead.
+    Raises CadenzaError if they are no dictionary, or there is no such option. If it were ignored,
+    songs would be drawn instead.
     """
+    if not isinstance(options, Mapping | None):
+        raise CadenzaError(
+            f"options {quoted(options)} of reset: give a dictionary, whose values may be lists of "
+            "one for each environment"
+        )
     if unknown := sorted(set(options or ()) - _RESET_OPTIONS):
         raise CadenzaError(
             f"no option {quoted(unknown[0])} of reset: choose from "
