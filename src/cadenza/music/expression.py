@@ -156,35 +156,35 @@ def performed_with_times(
             score.notes, map(times, score.notes), velocities, strict=True
         )
     )
-    played = replace(
+    performance = replace(
         score,
         notes=tuple(notes),
         pedal=tuple(replace(event, time=moved(event.time)) for event in score.pedal),
         bars=tuple(bar.moved(moved) for bar in score.bars),
     )
-    return played, moved
+    return performance, moved
 
 
 def _melody(groups: Sequence[Sequence[Note]]) -> _Melody:
     """The melody of chords by time, each with its notes by pitch; see `performed`."""
-    sounding: list[tuple[int, float]] = []  # (-pitch, end [s]), the highest first
+    sounding_notes: list[tuple[int, float]] = []  # (-pitch, end [s]), the highest first
     notes: list[Note] = []
     starts: list[float] = []
     for group in groups:
         start, highest = min(note.start for note in group), group[-1]
-        while sounding and sounding[0][1] <= start + RELEASE_TIME:
-            heappop(sounding)
-        if not sounding or -sounding[0][0] <= highest.pitch:
+        while sounding_notes and sounding_notes[0][1] <= start + RELEASE_TIME:
+            heappop(sounding_notes)
+        if not sounding_notes or -sounding_notes[0][0] <= highest.pitch:
             notes.append(highest)
             starts.append(start)
         for note in group:
-            heappush(sounding, (-note.pitch, note.end))
+            heappush(sounding_notes, (-note.pitch, note.end))
     onset = np.array(starts)
-    held = np.array([note.end for note in notes]) - onset
-    interval = np.append(np.diff(onset), held[-1])
-    rest = interval - held >= np.maximum(_REST, _REST_SHARE * interval)
+    length = np.array([note.end for note in notes]) - onset
+    interval = np.append(np.diff(onset), length[-1])
+    rest = interval - length >= np.maximum(_REST, _REST_SHARE * interval)
     pitch = np.array([note.pitch for note in notes], np.float64)
-    return _Melody(notes, onset, interval, np.where(rest, held, interval), pitch, rest)
+    return _Melody(notes, onset, interval, np.where(rest, length, interval), pitch, rest)
 
 
 def _added_time(
@@ -245,10 +245,10 @@ def _note_times(
     pause_after = dict[int, int]()  # the melody note with which a note ends
     for group, later in zip(groups, [*groups[1:], []], strict=True):
         index = sung.get(id(group[-1]), -1)
-        until = -inf if index < 0 else melody.onset[index] + melody.interval[index]
+        gap_begin = -inf if index < 0 else melody.onset[index] + melody.interval[index]
         for note in group:
             next_onset[id(note)] = min((other.start for other in later), default=inf)
-            if note.end <= until + CHORD_TOLERANCE:
+            if note.end <= gap_begin + CHORD_TOLERANCE:
                 pause_after[id(note)] = index
 
     def times(note: Note) -> tuple[float, float]:
@@ -303,9 +303,9 @@ def _contrast(melody: _Melody) -> Floats:
 def _doubles(melody: _Melody) -> Mask:
     """(M,) whether a note is half as long as the one before it and shorter than the next."""
     double, length = melody.inner, melody.duration
-    here = length[1:-1]
-    double[1:-1] &= np.abs(2 * here - length[:-2]) < _SAME_LENGTH
-    double[1:-1] &= (length[2:] > here + _SAME_LENGTH) & (here < _DOUBLE_LONGEST)
+    middle = length[1:-1]
+    double[1:-1] &= np.abs(2 * middle - length[:-2]) < _SAME_LENGTH
+    double[1:-1] &= (length[2:] > middle + _SAME_LENGTH) & (middle < _DOUBLE_LONGEST)
     return double
 
 
@@ -329,9 +329,9 @@ def _inequality(melody: _Melody, bars: Sequence[Bar], quantity: float) -> Floats
     off_beat &= np.abs(count - np.rint(count)) * interval < _SAME_LENGTH
     off_beat[1:] &= (np.abs(np.diff(interval)) < _SAME_LENGTH) & ~melody.rest[:-1]
     off_beat[0] = False
-    given = quantity * _INEGALITY * interval
-    off_beat &= (interval < _INEGAL_LONGEST) & (interval - given > _INEGAL_SHORTEST)
-    return np.where(off_beat, given, 0.0)
+    lengthening = quantity * _INEGALITY * interval
+    off_beat &= (interval < _INEGAL_LONGEST) & (interval - lengthening > _INEGAL_SHORTEST)
+    return np.where(off_beat, lengthening, 0.0)
 
 
 def _arch(melody: _Melody, start: float, end: float) -> Floats:

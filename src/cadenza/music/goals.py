@@ -33,8 +33,8 @@ class Onsets(NamedTuple):
 
     def between(self, first: int, last: int) -> Onsets:
         """The onsets in the steps from `first` to before `last`, which are counted from `first`."""
-        since, until = np.searchsorted(self.step, (first, last))
-        return Onsets._make(values[since:until] for values in self).delayed(-first)
+        first_row, end_row = np.searchsorted(self.step, (first, last))
+        return Onsets._make(values[first_row:end_row] for values in self).delayed(-first)
 
     def at(self, steps: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """The onsets in steps (M,), in any order: (P,) indices of the steps, and of the onsets."""
@@ -105,16 +105,15 @@ def score_to_goals(
     numbers that they have on `hands`, and none without hands.
 
     A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step `int(start / dt)`
-    up to, not including, `ceil(end / dt)`, and for one step at least. Where a key is struck again
-    on a step before which it already was to sound, it is left out of that one step, so that it has
-    to come up, and the note begins a step late. Where such notes are to `shorten` the one before,
-    it is left out of the step before instead, and the note begins in time, unless nothing would be
-    left of the one before. Of notes that share a key and a step the later one's finger counts. A
-    pedal event (down from value 64) acts from step `int(time / dt)` until the next; of several on
-    one step the last counts. Where the pedal is lifted and pressed again on one step, it would so
-    stay down. If such notes are to `shorten` the one before, it is up for that step. Raises
-    CadenzaError if the score has no notes or one without a key, `dt` is not a positive number, or
-    there would be more than `MAX_STEPS`.
+    up to, not including, `ceil(end / dt)`, and for one step at least. A repeated note may follow
+    without a gap: its key is then up for the first step, so the note begins a step late. With
+    `shorten`, the key is up for the step before instead, and the note begins in time, unless the
+    previous note lasts only that step. If notes share a key and a step, the later note's finger
+    counts. A pedal event (down from value 64) acts from step `int(time / dt)` until the next; the
+    last of several on one step counts. So a pedal that is lifted and pressed again on one step
+    stays down; with `shorten`, it is up for that step. Raises CadenzaError if the score has no
+    notes or one without a key, `dt` is not a positive number, or there would be more than
+    `MAX_STEPS`.
     """
     if not score.notes:
         raise CadenzaError("the score has no notes, so there is nothing to play; choose another")
@@ -155,17 +154,17 @@ def _onsets(score: Score, keys: NDArray[np.bool_], fps: float, pitches: range) -
     A note that begins a step late, because its key is struck again, begins with that step.
     """
     begins = keys & ~np.pad(keys, ((1, 0), (0, 0)))[:-1]
-    found = dict[tuple[int, int], tuple[float, int]]()
+    onsets = dict[tuple[int, int], tuple[float, int]]()
     for note in score.notes:
         step, key = int(note.start * fps), note.pitch - pitches.start
         if begins[step, key]:
-            found[step, key] = note.start - step / fps, note.velocity
+            onsets[step, key] = note.start - step / fps, note.velocity
         elif step + 1 < len(keys) and begins[step + 1, key]:
-            found.setdefault((step + 1, key), (0.0, note.velocity))
-    if not found:
+            onsets.setdefault((step + 1, key), (0.0, note.velocity))
+    if not onsets:
         return NO_ONSETS
-    places = np.array(sorted(found), np.intp)
-    times, velocities = zip(*(found[step, key] for step, key in places.tolist()), strict=True)
+    places = np.array(sorted(onsets), np.intp)
+    times, velocities = zip(*(onsets[step, key] for step, key in places.tolist()), strict=True)
     step, key = places.T
     return Onsets(step, key, np.array(times), np.array(velocities, np.intp))
 

@@ -238,23 +238,25 @@ def without_pairs(
     written: Iterable[Note], played: Iterable[Note], pairs: Sequence[Pair]
 ) -> tuple[list[Note], list[Note]]:
     """The written and the played notes that are in no pair; notes are told apart by identity."""
-    of_written, of_played = ({id(pair[side]) for pair in pairs} for side in (0, 1))
+    paired_written, paired_played = ({id(pair[side]) for pair in pairs} for side in (0, 1))
     return (
-        [note for note in written if id(note) not in of_written],
-        [note for note in played if id(note) not in of_played],
+        [note for note in written if id(note) not in paired_written],
+        [note for note in played if id(note) not in paired_played],
     )
 
 
 def _timing(pairs: Sequence[Pair]) -> dict[str, float | None]:
     """Metrics of the times of `pairs`, which are in the order in which they are written."""
-    late = np.array([mine.start - note.start for note, mine in pairs])
+    late = np.array([own_note.start - note.start for note, own_note in pairs])
     delay = _percentile(late, 50)
     errors = np.abs(late - (delay or 0.0))
-    durations = np.array([mine.end - mine.start - (note.end - note.start) for note, mine in pairs])
+    durations = np.array(
+        [own_note.end - own_note.start - (note.end - note.start) for note, own_note in pairs]
+    )
 
     onsets: dict[float, list[float]] = defaultdict(list)
-    for note, mine in pairs:
-        onsets[note.start].append(mine.start)
+    for note, own_note in pairs:
+        onsets[note.start].append(own_note.start)
     intervals = np.diff(list(onsets))
     played_intervals = np.diff([float(np.mean(starts)) for starts in onsets.values()])
     ioi = np.abs(played_intervals - intervals)
@@ -368,18 +370,18 @@ def note_errors(written: Iterable[Note], played: Iterable[Note]) -> NoteErrors:
     """
     written, played = (sorted(notes, key=attrgetter("start")) for notes in (written, played))
     pairs, off_time = paired_notes(written, played)
-    due, sounded = _by_pitch(written), _by_pitch(played)
+    due_notes, sounding_notes = _by_pitch(written), _by_pitch(played)
     missed = MissedNotes([note for note, _ in off_time], [], [])
     extra = ExtraNotes([note for _, note in off_time], [], [], [])
     written, played = without_pairs(written, played, pairs + off_time)
     for note in written:
-        earlier = (n for n in sounded[note.pitch] if n.start < note.start - ONSET_TOLERANCE)
+        earlier = (n for n in sounding_notes[note.pitch] if n.start < note.start - ONSET_TOLERANCE)
         (missed.held if _any_at(note.start, earlier) else missed.silent).append(note)
     for note in played:
         beside = range(note.pitch - _BESIDE, note.pitch + _BESIDE + 1)
-        if _any_at(note.start, due[note.pitch], SAME_NOTE, SAME_NOTE):
+        if _any_at(note.start, due_notes[note.pitch], SAME_NOTE, SAME_NOTE):
             extra.again.append(note)
-        elif any(_any_at(note.start, due[pitch], _BEFORE, _AFTER) for pitch in beside):
+        elif any(_any_at(note.start, due_notes[pitch], _BEFORE, _AFTER) for pitch in beside):
             extra.neighbour.append(note)
         else:
             extra.other.append(note)

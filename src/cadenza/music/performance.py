@@ -61,11 +61,11 @@ class SoundedNotes:
 
     def add(self, event: KeyEvent) -> bool:
         """Add what happened to a key; return whether a note has begun."""
-        begun = len(self._notes)
+        num_before = len(self._notes)
         times = [(event.onset, True), (event.offset, False)]
         for time, sounds in sorted(each for each in times if each[0] == each[0]):
             self._cross(event, event.step * self._dt + time, sounds)
-        return len(self._notes) > begun
+        return len(self._notes) > num_before
 
     def _cross(self, event: KeyEvent, time: float, sounds: bool) -> None:
         last = self._last.get(event.key)

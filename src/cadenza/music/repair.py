@@ -44,9 +44,9 @@ def repaired_notes(
     Raises CadenzaError if there are no notes.
 
     Args:
-        found: all notes of the file, in its unit of time.
-        counts: the numbers of notes that were repaired before, by the names in `_remarks`.
-        remarks: remarks that were made before.
+        raw_notes: all notes of the file, in its unit of time.
+        counts: the numbers of earlier repairs, by the names in `_remarks`.
+        remarks: earlier remarks.
         seconds: converts times of the file to seconds [s].
     """
     notes = tuple(
@@ -61,38 +61,38 @@ def repaired_notes(
 
 
 def _without_overlaps(notes: list[RawNote], counts: Counter[str]) -> list[RawNote]:
-    """The notes that last, at most one of each pitch at a time.
+    """The notes with a length, at most one of each pitch at a time.
 
-    One that is struck again while it is held ends there, and the other lasts as long as both. The
+    A note ends at the next onset of its pitch, and the second note lasts as long as both. The
     number of each kind of repair is added to `counts`.
     """
-    together: dict[tuple[float, int], list[RawNote]] = {}
+    doubles_at: dict[tuple[float, int], list[RawNote]] = {}
     for note in sorted(notes, key=lambda note: note.start):
         if note.end > note.start:
-            together.setdefault((note.start, note.pitch), []).append(note)
-    lasting = sum(map(len, together.values()))
-    counts["zero"] = len(notes) - lasting
-    counts["doubled"] += lasting - len(together)
-    played: list[RawNote] = []
+            doubles_at.setdefault((note.start, note.pitch), []).append(note)
+    num_notes = sum(map(len, doubles_at.values()))
+    counts["zero"] = len(notes) - num_notes
+    counts["doubled"] += num_notes - len(doubles_at)
+    repaired: list[RawNote] = []
     latest: dict[int, RawNote] = {}
-    for doubles in together.values():
+    for doubles in doubles_at.values():
         note = _merged(doubles)
-        before = latest.get(note.pitch)
+        previous = latest.get(note.pitch)
         latest[note.pitch] = note
-        played.append(note)
-        if before and before.end > note.start:
+        repaired.append(note)
+        if previous and previous.end > note.start:
             counts["cut"] += 1
-            if before.released and note.released:  # the key is held as long as the longer one
-                note.end = max(before.end, note.end)
-            before.release(note.start)
-    counts["unreleased"] = sum(not note.released for note in played)
-    return played
+            if previous.released and note.released:  # the key is held as long as the longer one
+                note.end = max(previous.end, note.end)
+            previous.release(note.start)
+    counts["unreleased"] = sum(not note.released for note in repaired)
+    return repaired
 
 
 def _merged(notes: Sequence[RawNote]) -> RawNote:
     """The note with the largest velocity and the latest end of all; a known end counts first."""
     first, *others = notes
-    if not others:  # as hardly ever any are
+    if not others:  # the usual case
         return replace(first)
     is_known = any(note.released for note in notes)
     return replace(
@@ -112,14 +112,14 @@ def merged_pedal(moves: Iterable[tuple[_Time, Hashable, int]]) -> Iterator[tuple
     `moves` are times, channels or parts of a sheet, and values, in order of time. Where several
     channels change the pedal at one time, it goes up before it goes down again.
     """
-    held: dict[Hashable, int] = {}
+    values: dict[Hashable, int] = {}
     channels_at = [0] * (_PEDAL_DOWN + 1)  # how many hold the pedal at each value
 
     def lowest_after(changes: Iterable[tuple[Hashable, int]]) -> int:
         for channel, value in changes:
-            if channel in held:
-                channels_at[held[channel]] -= 1
-            held[channel] = value
+            if channel in values:
+                channels_at[values[channel]] -= 1
+            values[channel] = value
             channels_at[value] += 1
         return next(value for value in range(_PEDAL_DOWN, -1, -1) if channels_at[value])
 
@@ -128,7 +128,7 @@ def merged_pedal(moves: Iterable[tuple[_Time, Hashable, int]]) -> Iterator[tuple
         changes = [(channel, value) for _, channel, value in together]
         between = lowest_after(sorted(changes, key=itemgetter(1), reverse=True))
         after = lowest_after(changes)
-        is_alone = len(held) == 1  # no other has one
+        is_alone = len(values) == 1  # no other has one
         for value in [value for _, value in changes] if is_alone else (between, after):
             if is_alone or value != latest:
                 yield time, value
@@ -136,10 +136,10 @@ def merged_pedal(moves: Iterable[tuple[_Time, Hashable, int]]) -> Iterator[tuple
 
 
 def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:
-    """Remarks such as "2 notes left out" from counts, nouns and what was done; none for 0."""
+    """Remarks such as "2 notes left out" from counts, nouns and repairs; none for 0."""
     return [
-        f"{count} {what if count == 1 else what + 's'} {done}"
-        for count, what, done in cases
+        f"{count} {noun if count == 1 else noun + 's'} {action}"
+        for count, noun, action in cases
         if count
     ]
 
@@ -156,4 +156,4 @@ def _remarks(counts: Counter[str]) -> list[str]:
         "cut": "cut short where the same key is struck again",
         "unreleased": "never released: held to the end of the track",
     }
-    return counted_remarks((counts[what], "note", done) for what, done in repairs.items())
+    return counted_remarks((counts[kind], "note", action) for kind, action in repairs.items())

@@ -125,7 +125,7 @@ class Bar:
         return replace(self, time=move(self.time), beats=tuple(map(move, self.beats)), words=words)
 
     def transposed(self, semitones: int) -> Bar:
-        """The bar with the key signature of music so much higher."""
+        """The bar with the key signature transposed upwards."""
         return replace(self, key=None if self.key is None else key_above(self.key, semitones))
 
 
@@ -366,17 +366,17 @@ def check_end(seconds: float) -> None:
 def check_chosen(chosen: Collection[int], tracks: Sequence[Track]) -> None:
     """Check that tracks of a file have the `chosen` numbers; raises CadenzaError if not."""
     if missing := sorted(set(chosen) - {track.number for track in tracks}):
-        there = f"tracks 1 to {len(tracks)}" if len(tracks) > 1 else "one track"
-        raise CadenzaError(f"there is no track {missing[0]}; the file has {there}")
+        tracks_text = f"tracks 1 to {len(tracks)}" if len(tracks) > 1 else "one track"
+        raise CadenzaError(f"there is no track {missing[0]}; the file has {tracks_text}")
 
 
 # Keys of a piano and of music, and bars
 
 
 def key_above(key: int, semitones: int) -> int:
-    """The key signature of music that is `semitones` above that with `key` sharps, or -`key` flats.
+    """The key signature `semitones` above one of `key` sharps, or -`key` flats.
 
-    Where it differs, it has at most six sharps or five flats.
+    A different key signature has at most six sharps or five flats.
     """
     fifths = (7 * semitones) % OCTAVE
     return (key + fifths + _MAX_FLATS) % OCTAVE - _MAX_FLATS if fifths else key
@@ -394,8 +394,8 @@ def note_name(pitch: int) -> str:
 
 def bar_at(score: Score, time: float) -> int:
     """The number of the bar in which `time` [s] lies, or of the first; for a score with bars."""
-    begun = bisect_right(score.bars, time + _BAR_TOLERANCE, key=lambda bar: bar.time)
-    return score.bars[max(begun - 1, 0)].number
+    count = bisect_right(score.bars, time + _BAR_TOLERANCE, key=lambda bar: bar.time)
+    return score.bars[max(count - 1, 0)].number
 
 
 def describe_times(score: Score, times: Iterable[float]) -> str:
@@ -410,5 +410,5 @@ def describe_times(score: Score, times: Iterable[float]) -> str:
             runs[-1].append(number)
         else:
             runs.append([number])
-    named = ", ".join("-".join(map(str, run[:: max(len(run) - 1, 1)])) for run in runs)
-    return f"bar{'s'[: len(numbers) > 1]} {named}"
+    text = ", ".join("-".join(map(str, run[:: max(len(run) - 1, 1)])) for run in runs)
+    return f"bar{'s'[: len(numbers) > 1]} {text}"

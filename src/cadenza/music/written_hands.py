@@ -24,17 +24,17 @@ _PARTS = "|".join((*_NAMED.values(), *_ALONE.values(), *filter(None, _SAYS_NOTHI
 def names_only_a_part(name: str) -> bool:
     """Whether the name of a track says no more than which hand, staff or channel it is."""
     letter = r"[^\W\d_]"
-    rest, found = re.subn(rf"(?<!{letter})({_PARTS}|hand|main)(?!{letter})", "", name.lower())
-    return bool(found) and not re.search(letter, rest)
+    rest, count = re.subn(rf"(?<!{letter})({_PARTS}|hand|main)(?!{letter})", "", name.lower())
+    return bool(count) and not re.search(letter, rest)
 
 
 def with_written_hands(score: Score) -> Score:
     """The score whose notes know which hand plays them as written, where anything says so.
 
-    Fingers say so, if nearly all notes have some; else what the reader has found, as in the staves
-    of a part for two hands; else two tracks of a keyboard, one for each hand. Tracks are told apart
-    by names, such as "RH" and "LH", or if names say nothing by pitch, where one is clearly lower.
-    Of several parts for two hands, such as those of a duet, no hands are known.
+    The first of these sources counts: fingers, if nearly all notes have one; the hands that the
+    reader gives, as from the staves of a part for two hands; two tracks of a keyboard, one for each
+    hand. Tracks differ by name, such as "RH" and "LH", or else by pitch, if one is clearly lower.
+    Several parts for two hands, such as those of a duet, give no hands.
     """
     if sum(note.finger is not None for note in score.notes) >= _FINGERED * len(score.notes):
         return _with_hands(score, [(n.finger.hand,) if n.finger else () for n in score.notes])
@@ -42,8 +42,10 @@ def with_written_hands(score: Score) -> Score:
     if parts:
         return score if len(parts) == 1 else _with_hands(score, [()] * len(score.notes))
     hands = _hands_of_tracks(score)
-    written = ({hands[number] for number in note.tracks if number in hands} for note in score.notes)
-    return _with_hands(score, map(tuple, map(sorted, written)))
+    hands_of_notes = (
+        {hands[number] for number in note.tracks if number in hands} for note in score.notes
+    )
+    return _with_hands(score, map(tuple, map(sorted, hands_of_notes)))
 
 
 def _with_hands(score: Score, hands: Iterable[tuple[int, ...]]) -> Score:
@@ -57,8 +59,8 @@ def _hands_of_tracks(score: Score) -> dict[int, int]:
     tracks = [each for each in score.tracks if each.is_keyboard or each.channel is None]
     if hands := _by_name(tracks, _NAMED):
         return hands
-    played = {number for note in score.notes for number in note.tracks}
-    together = [each for each in score.tracks if each.number in played]
+    numbers = {number for note in score.notes for number in note.tracks}
+    together = [each for each in score.tracks if each.number in numbers]
     if len(together) != len(SIDES) or any(each not in tracks for each in together):
         return {}
     return _by_name(together, _ALONE) or _by_pitch(together, score.notes)

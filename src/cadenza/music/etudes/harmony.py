@@ -101,9 +101,9 @@ def are_parallel(
     low: Pitches, high: Pitches, then_low: Pitches, then_high: Pitches
 ) -> NDArray[np.bool_]:
     """Whether two voices move in parallel fifths or octaves."""
-    same = (high - low) % OCTAVE == (then_high - then_low) % OCTAVE
+    is_same_interval = (high - low) % OCTAVE == (then_high - then_low) % OCTAVE
     moves = (low != then_low) & (high != then_high)
-    return moves & same & is_perfect(low, high)
+    return moves & is_same_interval & is_perfect(low, high)
 
 
 def are_hidden(
@@ -168,8 +168,8 @@ class Triad:
 def _transition_costs() -> Costs:
     """(7, 7) costs of the progression from each chord to each next."""
     costs = np.full((STEPS, STEPS), FORBIDDEN)
-    for chord, others in _SUCCESSORS.items():
-        costs[chord, list(others)] = 0
+    for chord, successors in _SUCCESSORS.items():
+        costs[chord, list(successors)] = 0
         costs[chord, chord] = _SAME
     return costs
 

@@ -153,8 +153,8 @@ def broken_chords(sheet: EtudeSheet) -> Iterator[Tone]:
 def _figures(sheet: EtudeSheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[Tone]:
     """Yield figures of odd and even bars, as tones of a chord; an idle hand holds a chord."""
     *chords, _ = sheet.chords()
-    # In the easiest etudes the other hand has nothing to do.
-    held = 0 if sheet.difficulty <= 2 else 1 if sheet.difficulty == 3 else 3
+    # In the easiest etudes the other hand rests.
+    size = 0 if sheet.difficulty <= 2 else 1 if sheet.difficulty == 3 else 3
     for bar, chord in enumerate(chords):
         figure = even if bar % 2 else odd
         hands = sheet.hands(bar)
@@ -164,11 +164,11 @@ def _figures(sheet: EtudeSheet, odd: Sequence[int], even: Sequence[int]) -> Iter
                 yield Tone(bar * sheet.bar + i, 1, sheet.pitch(chord.tone(lowest + tone), chord))
         if hands == ("right",):
             lowest = chord.nearest(2 - 2 * STEPS)
-            yield from _held_chord(sheet, bar, chord, lowest, held, _CHORD)
+            yield from _held_chord(sheet, bar, chord, lowest, size, _CHORD)
         elif hands == ("left",):
             highest = chord.nearest(_HOME["left"]) + max(figure)
             lowest = max(highest + 2, chord.nearest(STEPS + 2))
-            yield from _held_chord(sheet, bar, chord, lowest, held, _CHORD)
+            yield from _held_chord(sheet, bar, chord, lowest, size, _CHORD)
     yield from sheet.ending()
 
 

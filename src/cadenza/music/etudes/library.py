@@ -127,10 +127,10 @@ def etude_names(count: int, seed: int = 0) -> list[str]:
     count = whole_number(count, "count", 1, 1_000_000)
     rng = np.random.default_rng(whole_number(seed, "seed", 0, MAX_SEED))
     names: list[str] = []
-    every = list(product(KINDS, range(1, HARDEST + 1)))
+    combinations = list(product(KINDS, range(1, HARDEST + 1)))
     while len(names) < count:
-        for i in np.argsort(rng.random(len(every)), kind="stable"):
-            kind, difficulty = every[i]
+        for i in np.argsort(rng.random(len(combinations)), kind="stable"):
+            kind, difficulty = combinations[i]
             names.append(etude_name(kind, difficulty, int(rng.integers(2**31))))
     return names[:count]
 

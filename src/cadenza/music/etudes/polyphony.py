@@ -85,7 +85,7 @@ def _first_species(sheet: EtudeSheet, count: int, per_phrase: int) -> list[_Pair
     into = (low == 1 - STEPS) & (high == STEPS - 1) | (low == -1 - STEPS) & (high == STEPS + 1)
     costs[-2][~into] = FORBIDDEN
     costs[-1][~(tonic & (high == STEPS))] = FORBIDDEN
-    steps = [_pair_costs(low, high, *now, *then) for now, then in pairwise(pitches)]
+    steps = [_pair_costs(low, high, *pair, *following) for pair, following in pairwise(pitches)]
     chosen = cheapest_sequence(costs, steps)
     return [_Pair(int(low[c]), int(high[c]), form) for c, form in zip(chosen, forms, strict=True)]
 
@@ -95,12 +95,17 @@ def _pitches(sheet: EtudeSheet, degrees: Pitches, form: Form) -> Pitches:
 
 
 def _pair_costs(
-    low: Pitches, high: Pitches, below: Pitches, above: Pitches, then_below: Pitches, then: Pitches
+    low: Pitches,
+    high: Pitches,
+    below: Pitches,
+    above: Pitches,
+    next_below: Pitches,
+    next_above: Pitches,
 ) -> Costs:
     """(n, n) costs of the motion from each pair of notes to each next, by degrees and pitches."""
-    cost = _melodic_costs(low, below, then_below) + _melodic_costs(high, above, then)
-    voices = below[:, None], above[:, None], then_below, then
-    cost += _SIMILAR * ((then_below - below[:, None]) * (then - above[:, None]) > 0)
+    cost = _melodic_costs(low, below, next_below) + _melodic_costs(high, above, next_above)
+    voices = below[:, None], above[:, None], next_below, next_above
+    cost += _SIMILAR * ((next_below - below[:, None]) * (next_above - above[:, None]) > 0)
     wrong = are_parallel(*voices) | are_hidden(*voices)
     wrong |= (low[:, None] == low) & (high[:, None] == high)
     return np.where(wrong, FORBIDDEN, cost)
@@ -126,8 +131,8 @@ def _florid(sheet: EtudeSheet, phrase: Sequence[_Pair], upper: bool, against: in
             if k == 0:
                 cost[degrees != (pair.high if upper else pair.low)] = FORBIDDEN
             costs.append(cost)
-            then = pair if k + 1 < notes else phrase[min(i + 1, len(phrase) - 1)]
-            steps.append(_florid_costs(sheet, degrees, upper, pair, then))
+            next_pair = pair if k + 1 < notes else phrase[min(i + 1, len(phrase) - 1)]
+            steps.append(_florid_costs(sheet, degrees, upper, pair, next_pair))
     chosen = cheapest_sequence(costs, steps[:-1])[:-1]
     return [
         sheet.key.pitch(int(degrees[c]), phrase[i // against].form) for i, c in enumerate(chosen)
@@ -135,20 +140,23 @@ def _florid(sheet: EtudeSheet, phrase: Sequence[_Pair], upper: bool, against: in
 
 
 def _florid_costs(
-    sheet: EtudeSheet, degrees: Pitches, upper: bool, now: _Pair, then: _Pair
+    sheet: EtudeSheet, degrees: Pitches, upper: bool, now: _Pair, next_pair: _Pair
 ) -> Costs:
-    """(n, n) costs of the motion from a note against that held in `now` to one against `then`'s."""
-    pitches, will = _pitches(sheet, degrees, now.form), _pitches(sheet, degrees, then.form)
-    held, held_then = (
-        _pitches(sheet, np.array([pair.low if upper else pair.high]), pair.form)
-        for pair in (now, then)
+    """Costs (n, n) from a note against the held one of `now` to the next against `next_pair`'s."""
+    pitches, next_pitches = (
+        _pitches(sheet, degrees, now.form),
+        _pitches(sheet, degrees, next_pair.form),
     )
-    cost = _melodic_costs(degrees, pitches, will)
+    held, next_held = (
+        _pitches(sheet, np.array([pair.low if upper else pair.high]), pair.form)
+        for pair in (now, next_pair)
+    )
+    cost = _melodic_costs(degrees, pitches, next_pitches)
     by_step = np.abs(degrees - degrees[:, None]) == 1
-    before, after = _sorted(held, pitches[:, None]), _sorted(held_then, will)
+    before, after = _sorted(held, pitches[:, None]), _sorted(next_held, next_pitches)
     free = is_consonant(*before) & is_consonant(*after)
     wrong = are_parallel(*before, *after) | ~(free | by_step)
-    cost += _REPEATED * (pitches[:, None] == will)
+    cost += _REPEATED * (pitches[:, None] == next_pitches)
     return np.where(wrong, FORBIDDEN, cost)
 
 
@@ -191,9 +199,9 @@ def chorale(sheet: EtudeSheet) -> Iterator[Tone]:
         for i, chord in enumerate(chords)
     ]
     steps = [_voice_leading_costs(before, after) for before, after in pairwise(choices)]
-    chosen = cheapest_sequence([each.costs for each in choices], steps)
-    degrees = [each.degrees[c] for each, c in zip(choices, chosen, strict=True)]
-    pitches = [each.pitches[c] for each, c in zip(choices, chosen, strict=True)]
+    chosen = cheapest_sequence([choice.costs for choice in choices], steps)
+    degrees = [choice.degrees[c] for choice, c in zip(choices, chosen, strict=True)]
+    pitches = [choice.pitches[c] for choice, c in zip(choices, chosen, strict=True)]
     for i, chord in enumerate(chords):
         phrase, place = divmod(i, _PHRASE)
         at = (phrase * (_PHRASE + 1) + place) * sheet.division
@@ -238,8 +246,8 @@ def _voicings(sheet: EtudeSheet, chord: Triad, names: Sequence[str], ends: bool)
 
 def _is_complete(tones: Pitches) -> NDArray[np.bool_]:
     """Whether three voices have a third, and four the triad; `tones` (n, v) above the root."""
-    wanted = {2: [], 3: [2], 4: [0, 2, 4]}[tones.shape[1]]
-    return (tones[..., None] == np.array(wanted, int)).any(axis=1).all(axis=1)
+    steps = {2: [], 3: [2], 4: [0, 2, 4]}[tones.shape[1]]
+    return (tones[..., None] == np.array(steps, int)).any(axis=1).all(axis=1)
 
 
 def _is_close(pitches: Pitches) -> NDArray[np.bool_]:
@@ -283,14 +291,14 @@ def _passing(
     """A voice that moves by a third, and the passing note between, if no rule forbids it."""
     moved = degrees[1] - degrees[0]
     for voice in reversed((np.abs(moved) == 2).nonzero()[0].tolist()):
-        between = pitches[0].copy()
-        between[voice] = sheet.pitch(int(degrees[0][voice] + moved[voice] // 2), chord)
-        pairs = list(combinations(range(len(between)), 2))
+        passing_chord = pitches[0].copy()
+        passing_chord[voice] = sheet.pitch(int(degrees[0][voice] + moved[voice] // 2), chord)
+        pairs = list(combinations(range(len(passing_chord)), 2))
         faults = (
-            are_parallel(between[low], between[high], pitches[1][low], pitches[1][high])
+            are_parallel(passing_chord[low], passing_chord[high], pitches[1][low], pitches[1][high])
             for low, high in pairs
         )
-        gaps = np.diff(between)
+        gaps = np.diff(passing_chord)
         if (gaps > 0).all() and (gaps <= OCTAVE).all() and not any(faults):
-            return voice, int(between[voice])
+            return voice, int(passing_chord[voice])
     return None

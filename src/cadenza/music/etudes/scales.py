@@ -103,8 +103,8 @@ _DYADS = (2, 5)  # degrees between the notes of a dyad: a third to a sixth
 def drill(kind: str, count: int, rng: np.random.Generator) -> Score:
     """`count` notes or chords of one scale, each different from the one before and near it."""
     key = random_key(rng, _ACCIDENTALS)
-    every = map(key.pitch, range(-2 * STEPS, 2 * STEPS + 1))
-    scale = [pitch for pitch in every if _LOWEST <= pitch <= _HIGHEST]
+    pitches = map(key.pitch, range(-2 * STEPS, 2 * STEPS + 1))
+    scale = [pitch for pitch in pitches if _LOWEST <= pitch <= _HIGHEST]
     notes: list[Note] = []
     lowest: int | None = None
     for start in _BEAT * np.arange(count):

@@ -33,14 +33,14 @@ def folder_library(folder: Path, name: str = "") -> Library:
     if not files:
         raise CadenzaError(f"{folder}: there is no file of music in it ({', '.join(MUSIC)})")
     names = unique(file.stem for file in files)
-    known = _facts(files, index_of(folder))
+    facts_of_files = _facts(files, index_of(folder))
     songs = (
         Song(
             f"{name}/{piece}" if name else str(folder / file),
             partial(read_score, folder / file),
             **facts,
         )
-        for piece, file, facts in zip(names, files, known, strict=True)
+        for piece, file, facts in zip(names, files, facts_of_files, strict=True)
     )
     return Library(name or str(folder), tuple(songs))
 
@@ -136,14 +136,14 @@ def _names(file: Path) -> tuple[str, str]:
 
 def unique(names: Iterable[str]) -> list[str]:
     """The names, with a number behind each that was there before in upper or lower case."""
-    taken: set[str] = set()
+    used: set[str] = set()
     numbers: Counter[str] = Counter()
     result = []
     for name in names:
         new = name
-        while new.casefold() in taken:
+        while new.casefold() in used:
             numbers[name] += 1
             new = f"{name}-{numbers[name] + 1}"
-        taken.add(new.casefold())
+        used.add(new.casefold())
         result.append(new)
     return result

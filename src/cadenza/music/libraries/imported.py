@@ -83,13 +83,13 @@ class NewLibrary:
 
         Length, notes, hands and difficulty come from the score, other facts from `facts`.
         """
-        counted = {
+        counts = {
             "seconds": round(score.total_time, 2),
             "notes": len(score.notes),
             "hands": _hands(score),
             "difficulty": None if self.grade is None else round(self.grade(score), 2),
         }
-        self.rows.append((file, {**facts, **counted}))
+        self.rows.append((file, {**facts, **counts}))
 
     @contextmanager
     def leaving_out_what_is_wrong(self, file: object) -> Iterator[None]:

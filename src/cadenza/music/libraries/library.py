@@ -50,8 +50,8 @@ other packages add them, or for a function that returns either."""
 def libraries() -> dict[str, str]:
     """Name -> description of every library."""
     registered = {name: entry.about for name, entry in LIBRARIES.entries().items()}
-    others = {name: "imported" for name in imported_libraries() if name not in registered}
-    return {**registered, **others}
+    imported = {name: "imported" for name in imported_libraries() if name not in registered}
+    return {**registered, **imported}
 
 
 def distinct_libraries() -> list[str]:

@@ -272,11 +272,11 @@ def read_fingered(content: bytes, where: str) -> Score:
     doubts: list[str] = []
     lines = io.StringIO(decoded(content, where), newline=None)
     for number, line in enumerate(lines, start=1):
-        written = line.partition("//")[0]
-        if not written.strip():
+        entry = line.partition("//")[0]
+        if not entry.strip():
             continue
         with errors_in(f"{where}:{number}"):
-            note, channel = _note(written)
+            note, channel = _note(entry)
         notes.append(note)
         if note.finger and note.finger.hand != channel:
             doubts.append(

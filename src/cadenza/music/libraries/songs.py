@@ -74,23 +74,27 @@ class Library:
         """The songs of one split. Raises CadenzaError if there is no such split."""
         songs = tuple(song for song in self.songs if song.split == split)
         if not split or not songs:
-            there = f"choose from {', '.join(self.splits)}" if self.splits else "it has none"
-            raise CadenzaError(f"{self.name}: there is no split {quoted(split)}; {there}")
+            advice = f"choose from {', '.join(self.splits)}" if self.splits else "it has none"
+            raise CadenzaError(f"{self.name}: there is no split {quoted(split)}; {advice}")
         return Library(f"{self.name}:{split}", songs)
 
 
 def song_named(name: str, library: Library) -> Song:
     """The song of a library with this name, in any case; raises CadenzaError if there is none."""
-    known = {song.name.lower(): song for song in library.songs}
+    names = {song.name.lower(): song for song in library.songs}
     # Bundled songs are called by their names alone, and found with the name of the library, too.
-    for wanted in (name.lower(), name.lower().removeprefix(f"{library.name}/")):
-        if wanted in known:
-            return known[wanted]
-    begun = [each for each in known if name and each.startswith(name.lower())]
-    close = begun[:_MAX_SUGGESTIONS] or get_close_matches(
-        name.lower(), known, _MAX_SUGGESTIONS, cutoff=0.5
+    for candidate in (name.lower(), name.lower().removeprefix(f"{library.name}/")):
+        if candidate in names:
+            return names[candidate]
+    completions = [full_name for full_name in names if name and full_name.startswith(name.lower())]
+    close = completions[:_MAX_SUGGESTIONS] or get_close_matches(
+        name.lower(), names, _MAX_SUGGESTIONS, cutoff=0.5
     )
-    hint = f"did you mean {' or '.join(known[each].name for each in close)}? " if close else ""
+    hint = (
+        f"did you mean {' or '.join(names[full_name].name for full_name in close)}? "
+        if close
+        else ""
+    )
     raise CadenzaError(
         f"no song named {quoted(name)}: {hint}run `cadenza songs` for all names, "
         "or give the path of a MIDI or MusicXML file"

@@ -38,13 +38,13 @@ def estimated_bars(notes: Sequence[Note]) -> tuple[Bar, ...]:
     period = _period(strength)
     beats = _anchored(onsets[0] + _FRAME * _tracked(strength, period), onsets, period)
     per_bar, phase = _metre(beats, onsets, accents)
-    before = per_bar - phase if phase else 0  # beats of a bar before the first downbeat
-    after = -(before + len(beats)) % per_bar  # beats that complete the last bar
+    num_before = per_bar - phase if phase else 0  # beats of a bar before the first downbeat
+    num_after = -(num_before + len(beats)) % per_bar  # beats that complete the last bar
     beats = np.concatenate(
         [
-            beats[0] - period * np.arange(before, 0, -1),
+            beats[0] - period * np.arange(num_before, 0, -1),
             beats,
-            beats[-1] + period * np.arange(1, after + 1),
+            beats[-1] + period * np.arange(1, num_after + 1),
         ]
     )
     return tuple(
@@ -77,9 +77,9 @@ def _strength(onsets: Floats, accents: Floats) -> Floats:
 
 
 def _period(strength: Floats) -> float:
-    """The period of the beat [s], where the autocorrelation of the onset strength is large.
+    """The period of the beat [s]: the lag of a large autocorrelation of the onset strength.
 
-    It is to be so at twice, three times and four times the period, too, which may be bars.
+    Twice, three and four times the period, which may be bars, count, too.
     """
     size = max(2 * len(strength), round(8 * _PERIODS[1] / _FRAME))
     spectrum = np.fft.rfft(strength - strength.mean(), size)
@@ -93,7 +93,7 @@ def _period(strength: Floats) -> float:
 
 
 def _tracked(strength: Floats, period: float) -> NDArray[np.int64]:
-    """The frames of beats that are as even and on as strong onsets as can be."""
+    """The frames of the beats: the best compromise of even beats and strong onsets."""
     steps = period / _FRAME
     lags = np.arange(round(steps / 2), round(2 * steps) + 1)
     evenness = -_TIGHTNESS * np.log(lags / steps) ** 2
@@ -112,13 +112,13 @@ def _tracked(strength: Floats, period: float) -> NDArray[np.int64]:
 
 
 def _anchored(beats: Floats, onsets: Floats, period: float) -> Floats:
-    """The beats from the first onset on, moved to onsets that are near, and evenly between them."""
+    """The beats from the first onset on: at near onsets, and even between these."""
     nearest = onsets[_nearest(onsets, beats)]
-    held = np.flatnonzero(np.abs(nearest - beats) <= _ANCHOR)
-    if len(held):
+    anchors = np.flatnonzero(np.abs(nearest - beats) <= _ANCHOR)
+    if len(anchors):
         index = np.arange(len(beats))
-        beyond = np.minimum(index - held[0], 0) + np.maximum(index - held[-1], 0)
-        beats = np.interp(index, held, nearest[held]) + period * beyond
+        beyond = np.minimum(index - anchors[0], 0) + np.maximum(index - anchors[-1], 0)
+        beats = np.interp(index, anchors, nearest[anchors]) + period * beyond
     missing = max(0, round((beats[0] - onsets[0]) / period))
     return np.concatenate([beats[0] - period * np.arange(missing, 0, -1), beats])
 
@@ -130,7 +130,7 @@ def _nearest(onsets: Floats, times: Floats) -> NDArray[np.int64]:
 
 
 def _metre(beats: Floats, onsets: Floats, accents: Floats) -> tuple[int, int]:
-    """The number of beats in a bar, and how many precede the first downbeat."""
+    """The number of beats in a bar, and the number of beats before the first downbeat."""
     nearest = _nearest(onsets, beats)
     accent = np.where(np.abs(onsets[nearest] - beats) <= _ANCHOR, accents[nearest], 0.0)
     recurs = {per_bar: _recurrence(accent, per_bar) for per_bar in (2, 3, 4)}
@@ -149,7 +149,7 @@ def _recurrence(accent: Floats, per_bar: int) -> float:
 
 
 def _downbeat(accent: Floats, per_bar: int) -> tuple[float, int]:
-    """How much stronger than others downbeats are at most [standard deviations], and where."""
+    """The greatest accent of downbeats over others [standard deviations], and its phase."""
     phases = range(min(per_bar, len(accent)))
     means = [float(accent[phase::per_bar].mean() - accent.mean()) for phase in phases]
     best = int(np.argmax(means))

@@ -14,17 +14,17 @@ from cadenza.music.viterbi import cheapest_sequence
 TREBLE, BASS = "G", "F"
 _MIDDLE_LINE = {TREBLE: 71, BASS: 50}  # pitch: B4, D3
 _STAFF = 9  # semitones from the middle line that need at most one ledger line
-_UNUSUAL = 4  # weight of these in the clef of the other hand
-_CHANGE_OF_CLEF = 30.5  # semitones beyond the staff, summed over notes, that one outweighs
+_UNUSUAL = 4  # weight of semitones beyond the staff in the clef of the other hand
+_CHANGE_OF_CLEF = 30.5  # cost of a change, in semitones beyond the staff, summed over notes
 
-_LEDGERS = 25  # semitones from the middle line from which on notes are written an octave nearer ...
-_BESIDE = 8  # ... if all of their measure are this far on that side
+_LEDGERS = 25  # semitones from the middle line from which on notes have an ottava ...
+_BESIDE = 8  # ... if all notes of their measure are at least this far on that side
 
 _TEMPO_ERROR = 0.01  # [s] by which times that follow from the tempos may differ
 _FASTEST = 1e-3  # [s] of a quarter
-_SHOWN = 0.12  # relative change of tempo of two measures that is shown
-_LOUDER = 12  # change of the median velocity of two measures that has a mark
-_MUCH_LOUDER = 24  # change of that of a single measure that has one
+_SHOWN = 0.12  # relative change of tempo, over two measures, with a metronome mark
+_LOUDER = 12  # change of the median velocity, over two measures, with a dynamic mark
+_MUCH_LOUDER = 24  # change of the median velocity of a single measure with a dynamic mark
 _PARTS = 4  # of a cell, on which words and marks of the pedal stand
 
 
@@ -51,8 +51,11 @@ def clefs(pitches: Sequence[Sequence[int]], usual: str) -> list[str]:
     """
     kinds = (usual, BASS if usual == TREBLE else TREBLE)
     beyond = [
-        [sum(max(0, abs(pitch - _MIDDLE_LINE[kind]) - _STAFF) for pitch in here) for kind in kinds]
-        for here in pitches
+        [
+            sum(max(0, abs(pitch - _MIDDLE_LINE[kind]) - _STAFF) for pitch in measure)
+            for kind in kinds
+        ]
+        for measure in pitches
     ]
     costs = list(np.array(beyond) * (1, _UNUSUAL))
     change = _CHANGE_OF_CLEF * (1 - np.eye(2))
@@ -61,13 +64,10 @@ def clefs(pitches: Sequence[Sequence[int]], usual: str) -> list[str]:
 
 
 def octaves(pitches: Sequence[Sequence[int]], clefs: Sequence[str]) -> list[int]:
-    """The octaves that each measure sounds above what is written: 1 for an 8va, -1 for an 8vb.
-
-    `pitches` are those of its notes.
-    """
+    """The ottava of each measure: 1 for an 8va, -1 for an 8vb, 0 for none, from its `pitches`."""
     shifts = []
-    for here, clef in zip(pitches, clefs, strict=True):
-        beyond = [pitch - _MIDDLE_LINE[clef] for pitch in here] or [0]
+    for measure, clef in zip(pitches, clefs, strict=True):
+        beyond = [pitch - _MIDDLE_LINE[clef] for pitch in measure] or [0]
         is_high = clef == TREBLE and max(beyond) >= _LEDGERS and min(beyond) >= _BESIDE
         is_low = clef == BASS and min(beyond) <= -_LEDGERS and max(beyond) <= -_BESIDE
         shifts.append(int(is_high) - int(is_low))
@@ -77,22 +77,22 @@ def octaves(pitches: Sequence[Sequence[int]], clefs: Sequence[str]) -> list[int]
 def tempos(metre: Metre, bars: Iterable[Bar] = ()) -> list[TempoMark]:
     """The tempos from which the times of all cells follow to 0.01 s.
 
-    Each holds as long as it can, which the swing filter finds (Elmeleegy et al. 2009, Online
-    Piece-wise Linear Approximation of Numerical Streams with Precision Guarantees). Shown are the
-    first, and those of measures that are clearly faster or slower for longer than a measure: from
-    where they clearly are, if they become so by degrees. Words are those of the `bars`.
+    The swing filter holds each tempo as long as possible (Elmeleegy et al. 2009, Online Piece-wise
+    Linear Approximation of Numerical Streams with Precision Guarantees). The first tempo is shown.
+    A later one is shown if the music is clearly faster or slower for longer than a measure; a
+    gradual change is shown where it becomes clear. The words are those of the `bars`.
     """
     changes = _changes((metre.ticks / QUARTER).tolist(), metre.times.tolist())
     seconds_at = {int(metre.ticks[cell]): seconds for cell, seconds in changes.items()}
-    due = _shown(metre)
+    due_ticks = _ticks_of_shown_tempos(metre)
     marks = []
     seconds = latest = 0.0
     is_due = False
-    said = [each for bar in bars for each in bar.words if each[0] < metre.times[-1]]
-    words = {_tick_near(metre, max(time, float(metre.times[0]))): text for time, text in said}
-    for tick in sorted({*seconds_at, *due, *words}):
+    texts = [word for bar in bars for word in bar.words if word[0] < metre.times[-1]]
+    words = {_tick_near(metre, max(time, float(metre.times[0]))): text for time, text in texts}
+    for tick in sorted({*seconds_at, *due_ticks, *words}):
         seconds = seconds_at.get(tick, seconds)
-        is_due |= tick in due
+        is_due |= tick in due_ticks
         is_shown = is_due and (not latest or abs(np.log(seconds / latest)) > _SHOWN)
         if is_shown:
             latest, is_due = seconds, False
@@ -103,31 +103,31 @@ def tempos(metre: Metre, bars: Iterable[Bar] = ()) -> list[TempoMark]:
 def _changes(quarters: list[float], times: list[float]) -> dict[int, float]:
     """Indices of cells at which a new tempo begins, and the length of a quarter from there [s]."""
     changes: dict[int, float] = {}
-    cell, now = 0, times[0]
+    cell, time = 0, times[0]
     while cell < len(times) - 1:
-        last, seconds = _longest(quarters, times, cell, now)
+        last, seconds = _longest(quarters, times, cell, time)
         changes[cell] = seconds
-        now += seconds * (quarters[last] - quarters[cell])
+        time += seconds * (quarters[last] - quarters[cell])
         cell = last
     return changes
 
 
 def _longest(
-    quarters: list[float], times: list[float], first: int, now: float
+    quarters: list[float], times: list[float], first: int, begin: float
 ) -> tuple[int, float]:
-    """Up to which cell a tempo can hold that begins at `first`, `now` [s], and that tempo."""
-    least, most, last = _FASTEST, float("inf"), first
+    """The last cell of the longest steady tempo from `first`, at `begin` [s], and that tempo."""
+    shortest, longest, last = _FASTEST, float("inf"), first
     for cell in range(first + 1, len(times)):
-        length, passed = quarters[cell] - quarters[first], times[cell] - now
+        length, passed = quarters[cell] - quarters[first], times[cell] - begin
         low, high = ((passed + error) / length for error in (-_TEMPO_ERROR, _TEMPO_ERROR))
-        if last > first and max(low, least) > min(high, most):
+        if last > first and max(low, shortest) > min(high, longest):
             break
-        least, most, last = max(low, least), min(high, most), cell
-    exact = (times[last] - now) / (quarters[last] - quarters[first])
-    return last, max(least, min(exact, most))
+        shortest, longest, last = max(low, shortest), min(high, longest), cell
+    exact = (times[last] - begin) / (quarters[last] - quarters[first])
+    return last, max(shortest, min(exact, longest))
 
 
-def _shown(metre: Metre) -> set[int]:
+def _ticks_of_shown_tempos(metre: Metre) -> set[int]:
     """The ticks of measures whose tempo is shown."""
     starts = [measure.start for measure in metre.measures]
     times = np.interp([*starts, metre.measures[-1].end], metre.ticks, metre.times)
@@ -135,9 +135,9 @@ def _shown(metre: Metre) -> set[int]:
     pace = np.log(np.diff(times) / ticks)
     shown = {starts[0]}
     latest = pace[0]
-    for start, (here, following) in zip(starts[1:], pairwise(pace[1:]), strict=False):
-        if min(abs(here - latest), abs(following - latest)) > _SHOWN:
-            latest = here
+    for start, (tempo, following) in zip(starts[1:], pairwise(pace[1:]), strict=False):
+        if min(abs(tempo - latest), abs(following - latest)) > _SHOWN:
+            latest = tempo
             shown.add(start)
     return shown
 
@@ -146,23 +146,23 @@ def dynamics(velocities: Sequence[Sequence[int]]) -> dict[int, str]:
     """The dynamic marks of measures, by their indices, from the velocities of their notes."""
     marks: dict[int, str] = {}
     latest = ""
-    sounding = [(i, float(np.median(here))) for i, here in enumerate(velocities) if here]
-    for (measure, here), (_, following) in pairwise([*sounding, sounding[-1]]):
+    medians = [(i, float(np.median(values))) for i, values in enumerate(velocities) if values]
+    for (measure, velocity), (_, following) in pairwise([*medians, medians[-1]]):
         if not latest:  # a pickup may be a single note
-            here = (here + following) / 2
-        elif not _is_change(here - VELOCITIES[latest], following - VELOCITIES[latest]):
+            velocity = (velocity + following) / 2
+        elif not _is_change(velocity - VELOCITIES[latest], following - VELOCITIES[latest]):
             continue
-        nearest = min(VELOCITIES, key=lambda mark: abs(VELOCITIES[mark] - here))
+        nearest = min(VELOCITIES, key=lambda mark: abs(VELOCITIES[mark] - velocity))
         if nearest != latest:
             latest = marks[measure] = nearest
     return marks
 
 
-def _is_change(here: float, following: float) -> bool:
-    """Whether a measure that is so much louder than marked, and the next, need a new mark."""
-    if abs(here) > _MUCH_LOUDER:
+def _is_change(change: float, next_change: float) -> bool:
+    """Whether changes of velocity of a measure and of the next need a new dynamic mark."""
+    if abs(change) > _MUCH_LOUDER:
         return True
-    return here * following > 0 and min(abs(here), abs(following)) > _LOUDER
+    return change * next_change > 0 and min(abs(change), abs(next_change)) > _LOUDER
 
 
 def _tick_near(metre: Metre, time: float) -> int:

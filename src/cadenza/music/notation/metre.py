@@ -125,8 +125,8 @@ class _TimedBar:
 
     def since(self, start: float) -> _TimedBar:
         """Its last beats, from that in which `start` [s] lies."""
-        begun = bisect_right(self.times, start + CHORD_TOLERANCE) - 1
-        return replace(self, times=self.times[min(begun, len(self.times) - 2) :])
+        index = bisect_right(self.times, start + CHORD_TOLERANCE) - 1
+        return replace(self, times=self.times[min(index, len(self.times) - 2) :])
 
 
 def _timed(bars: Sequence[Bar]) -> list[_TimedBar]:
@@ -196,18 +196,18 @@ def _with_parts(measures: list[Measure]) -> list[Measure]:
         if marked[0].number == 0 or (is_usual and 2 * lengths[0] <= lengths[1]):
             marked[0] = _pickup(marked[0], marked[1].written)
     for i in range(1, len(marked) - 1):
-        before, here, after = marked[i - 1 : i + 2]
-        bar = WHOLE * before.written[0] // before.written[1]
-        if not here.is_part and here.length + after.length == bar:
-            marked[i] = replace(here, written=before.written, is_part=True)
-            marked[i + 1] = _pickup(after, before.written)
+        previous, part, following = marked[i - 1 : i + 2]
+        bar = WHOLE * previous.written[0] // previous.written[1]
+        if not part.is_part and part.length + following.length == bar:
+            marked[i] = replace(part, written=previous.written, is_part=True)
+            marked[i + 1] = _pickup(following, previous.written)
     return marked
 
 
-def _pickup(measure: Measure, written: tuple[int, int]) -> Measure:
+def _pickup(measure: Measure, signature: tuple[int, int]) -> Measure:
     """The measure as the end of one with that time signature."""
-    origin = measure.end - WHOLE * written[0] // written[1]
-    return replace(measure, written=written, origin=origin, is_part=True)
+    origin = measure.end - WHOLE * signature[0] // signature[1]
+    return replace(measure, written=signature, origin=origin, is_part=True)
 
 
 def _with_pickup(metre: Metre, notes: Sequence[Note]) -> Metre:

@@ -133,9 +133,9 @@ def tuplet_values(start: int, end: int, first: int, last: int, parts: int) -> It
     unit = cell // parts
     base = _PLAIN[cell // normal]
     while start < end:
-        left = max(1, round((end - start) / unit))
-        count = 1 << (left.bit_length() - 1)
-        dots = int(count > 1 and count + count // 2 <= left)
+        units = max(1, round((end - start) / unit))
+        count = 1 << (units.bit_length() - 1)
+        dots = int(count > 1 and count + count // 2 <= units)
         length = (count + dots * count // 2) * unit
         name = _PLAIN[count * cell // normal]
         opens, closes = start == first, start + length == last

@@ -77,12 +77,12 @@ def are_exact(onsets: Sequence[float], metre: Metre) -> bool:
 def on_grid(onsets: Sequence[float], metre: Metre) -> list[bool]:
     """Which `onsets` [ticks] are where notation has them."""
     ticks = metre.ticks.tolist()
-    found = []
+    are_on_grid = []
     for onset in onsets:
         cell = _cell(ticks, onset)
         at = (onset - ticks[cell]) / (ticks[cell + 1] - ticks[cell])
-        found.append(any(abs(at - round(at * parts) / parts) < _NEAR for parts in _COMMON))
-    return found
+        are_on_grid.append(any(abs(at - round(at * parts) / parts) < _NEAR for parts in _COMMON))
+    return are_on_grid
 
 
 def quantised(
@@ -113,14 +113,14 @@ def quantised(
             steps = [round(at * grid) for at, _ in onsets[v]]
             starts[v] += [begin + step * length // grid for step in steps]
             grids[v][cell] = _coarsest(grid, steps)
-    left_out = 0
+    num_lost = 0
     streams = []
     for v, of_voice in enumerate(groups):
         merged, lost = _merged(of_voice, starts[v])
-        left_out += lost
+        num_lost += lost
         streams.append(_stream(merged, grids[v], ticks))
         _widen(streams[-1], metre, ticks)
-    return streams, left_out
+    return streams, num_lost
 
 
 def _groups(voice: Sequence[Timed]) -> Iterator[_OnsetGroup]:
@@ -139,8 +139,8 @@ _Onsets = list[tuple[float, list[Note]]]
 
 def _chosen(onsets: list[_Onsets], seconds: float, length: int, is_exact: bool) -> list[int]:
     """The grid of each voice in a cell of `seconds` [s] and `length` [ticks]."""
-    played = min(max(_SPREAD * seconds, _MIN_SPREAD), _MAX_SPREAD)
-    spread = (_EXACT_SPREAD if is_exact else played) / seconds
+    usual_spread = min(max(_SPREAD * seconds, _MIN_SPREAD), _MAX_SPREAD)
+    spread = (_EXACT_SPREAD if is_exact else usual_spread) / seconds
     possible = [
         grid
         for grid in _GRIDS
@@ -150,24 +150,24 @@ def _chosen(onsets: list[_Onsets], seconds: float, length: int, is_exact: bool) 
     deviations = [{grid: _deviation(each, grid, spread) for grid in possible} for each in onsets]
     joint = min(possible, key=lambda g: _GRIDS[g] + sum(each[g] for each in deviations))
     joint_cost = _GRIDS[joint] + sum(each[joint] for each in deviations)
-    own = [min(possible, key=lambda g: _GRIDS[g] + each[g]) for each in deviations]
-    own_cost = sum(_GRIDS[g] + each[g] for g, each in zip(own, deviations, strict=True))
-    if own_cost + _APART * (len(set(own)) - 1) < joint_cost:
-        return own
+    own_grids = [min(possible, key=lambda g: _GRIDS[g] + each[g]) for each in deviations]
+    own_cost = sum(_GRIDS[g] + each[g] for g, each in zip(own_grids, deviations, strict=True))
+    if own_cost + _APART * (len(set(own_grids)) - 1) < joint_cost:
+        return own_grids
     return [joint] * len(onsets)
 
 
 def _deviation(onsets: _Onsets, grid: int, spread: float) -> float:
     """The cost of moving the `onsets` of a voice to a grid."""
-    cost, before, pitches = 0.0, -1, set[int]()
+    cost, previous_step, pitches = 0.0, -1, set[int]()
     for at, notes in onsets:
         step = round(at * grid)
         cost += 0.5 * ((at - step / grid) / spread) ** 2
-        here = {note.pitch for note in notes}
-        if step == before:
-            cost += _REPEATED if pitches & here else _MERGED
-            here |= pitches
-        before, pitches = step, here
+        step_pitches = {note.pitch for note in notes}
+        if step == previous_step:
+            cost += _REPEATED if pitches & step_pitches else _MERGED
+            step_pitches |= pitches
+        previous_step, pitches = step, step_pitches
     return cost
 
 
@@ -184,8 +184,8 @@ def _merged(groups: list[_OnsetGroup], starts: list[int]) -> tuple[list[WrittenC
     left_out = 0
     for group, start in zip(groups, starts, strict=True):
         if merged and merged[-1].start >= start:
-            there = {note.pitch for note in merged[-1].notes}
-            added = [note for note in group.notes if note.pitch not in there]
+            pitches = {note.pitch for note in merged[-1].notes}
+            added = [note for note in group.notes if note.pitch not in pitches]
             left_out += len(group.notes) - len(added)
             merged[-1].notes += added
             merged[-1].end = max(merged[-1].end, round(group.end))
@@ -197,8 +197,8 @@ def _merged(groups: list[_OnsetGroup], starts: list[int]) -> tuple[list[WrittenC
 def _stream(merged: list[WrittenChord], grids: dict[int, int], ticks: list[int]) -> Stream:
     """The chords with their ends on the grid."""
     for chord, following in zip_longest(merged, [chord.start for chord in merged[1:]]):
-        least = _unit(_cell(ticks, chord.start), grids, ticks)
-        end = max(_end(chord.end, grids, ticks), chord.start + least)
+        shortest = _unit(_cell(ticks, chord.start), grids, ticks)
+        end = max(_end(chord.end, grids, ticks), chord.start + shortest)
         if following is not None:
             gap = following - end
             is_short = gap <= _FILLED * (following - chord.start) and gap < _MAX_FILLED

@@ -24,22 +24,24 @@ class Roll(NamedTuple):
 def unrolled(
     timed: Sequence[Timed], hands: Sequence[int], is_free: Sequence[bool]
 ) -> tuple[list[Timed], dict[int, Roll]]:
-    """The notes, by start, with those of rolled chords together, and these by the ids of notes.
+    """The notes, by start, with one onset for each rolled chord, and the rolls by ids of notes.
 
-    `hands` play the notes. A chord begins where it is nearest to a beat or half of one: with its
-    first note or with its last. Others that are not `is_free` stay where they are.
+    `hands` play the notes. The onset is that of the first or the last note of the chord, whichever
+    is nearer to a beat or half a beat. Chords without an `is_free` note do not move.
     """
-    together, rolls, done = list(timed), dict[int, Roll](), set[int]()
-    for own in (None, *sorted(set(hands))):  # first chords of both hands
-        left = [i for i, hand in enumerate(hands) if own in (None, hand) and i not in done]
-        for chord in _runs(left, timed):
+    together, rolls, arpeggiated = list(timed), dict[int, Roll](), set[int]()
+    for side in (None, *sorted(set(hands))):  # first chords of both hands
+        remaining = [
+            i for i, hand in enumerate(hands) if side in (None, hand) and i not in arpeggiated
+        ]
+        for chord in _runs(remaining, timed):
             notes = [timed[i] for i in chord]
             of_both = len({hands[i] for i in chord}) > 1
             is_free_roll = _is_roll(notes, of_both) and any(is_free[i] for i in chord)
-            if not is_free_roll or of_both != (own is None):
+            if not is_free_roll or of_both != (side is None):
                 continue
             onset = min((notes[0].onset, notes[-1].onset), key=_off_beat)
-            done.update(chord)
+            arpeggiated.update(chord)
             for i in chord:
                 together[i] = timed[i]._replace(onset=onset)
                 if len(chord) >= _FEWEST:

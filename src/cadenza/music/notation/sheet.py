@@ -115,22 +115,22 @@ def sheet_of(score: Score) -> Sheet:
     places = (
         metre.place([getattr(n, end) for n in score.notes]).tolist() for end in ("start", "end")
     )
-    played = [Timed(*each) for each in zip(score.notes, *places, strict=True)]
-    onsets = [each.onset for each in played]
+    played_notes = [Timed(*each) for each in zip(score.notes, *places, strict=True)]
+    onsets = [each.onset for each in played_notes]
     is_exact = are_exact(onsets, metre)
     is_free = [not (is_exact and each) for each in on_grid(onsets, metre)]
-    timed, rolls = unrolled(played, staves(score.notes), is_free)
+    timed, rolls = unrolled(played_notes, staves(score.notes), is_free)
     is_exact |= are_exact([each.onset for each in timed], metre)
-    streams, left_out = _streams(timed, metre, is_exact)
-    every = [stream for pair in streams for stream in pair]
-    keys, names = _keys_and_names(score.notes, every, metre.measures)
+    streams, num_lost = _streams(timed, metre, is_exact)
+    all_streams = [stream for pair in streams for stream in pair]
+    keys, names = _keys_and_names(score.notes, all_streams, metre.measures)
     divisions = [Divisions(measure) for measure in metre.measures]
     begins = [measure.start for measure in metre.measures]
     of_hands = [
         _staves(streams[hand], _USUAL_CLEF[hand], metre, divisions, names, rolls)
         for hand in (RIGHT, LEFT)
     ]
-    marks = dynamics(_by_measure(begins, every, "velocity"))
+    marks = dynamics(_by_measure(begins, all_streams, "velocity"))
     of_tempo = _grouped(begins, tempos(metre, score.bars))
     of_pedal = _grouped(begins, pedal_marks(score.pedal, metre))
     lines = [*begins, metre.measures[-1].end]
@@ -150,7 +150,7 @@ def sheet_of(score: Score) -> Sheet:
         for i, measure in enumerate(metre.measures)
     )
     quantised = [] if is_exact else ["quantised: notes are moved to the nearest note values"]
-    lost = counted_remarks([(left_out, "note", "left out, struck again too soon to be written")])
+    lost = counted_remarks([(num_lost, "note", "left out, struck again too soon to be written")])
     remarks, is_sure = (*metre.remarks, *quantised, *lost), bool(score.bars) or is_exact
     return Sheet(score.title, measures, remarks, is_sure)
 
@@ -180,10 +180,10 @@ def _streams(
     hands = staves([each.note for each in timed])
     parts: list[list[Timed]] = []
     for hand in (RIGHT, LEFT):
-        own = [each for each, where in zip(timed, hands, strict=True) if where == hand]
-        chosen = voices(own, is_exact)
+        own_notes = [each for each, where in zip(timed, hands, strict=True) if where == hand]
+        chosen = voices(own_notes, is_exact)
         parts += (
-            [each for each, where in zip(own, chosen, strict=True) if where == voice]
+            [each for each, where in zip(own_notes, chosen, strict=True) if where == voice]
             for voice in (UPPER, LOWER)
         )
     streams, left_out = quantised(parts, metre, is_exact)
@@ -204,7 +204,8 @@ def _staves(
     changing = clefs(pitches, usual_clef)
     cells = metre.ticks.tolist()
     written = [
-        _written(stream, metre.measures, divisions, cells, names, rolls) for stream in streams
+        _symbols_of_bars(stream, metre.measures, divisions, cells, names, rolls)
+        for stream in streams
     ]
     return [
         Staff(clef, _used(upper, lower), octave)
@@ -214,13 +215,13 @@ def _staves(
     ]
 
 
-def _by_measure(begins: list[int], streams: Sequence[Stream], what: str) -> list[list[int]]:
+def _by_measure(begins: list[int], streams: Sequence[Stream], attribute: str) -> list[list[int]]:
     """The values that an attribute has for the notes that begin in each measure."""
     values: list[list[int]] = [[] for _ in begins]
     for stream in streams:
         for chord in stream.chords:
-            here = values[bisect_right(begins, chord.start) - 1]
-            here += [getattr(note, what) for note in chord.notes]
+            measure_values = values[bisect_right(begins, chord.start) - 1]
+            measure_values += [getattr(note, attribute) for note in chord.notes]
     return values
 
 
@@ -234,11 +235,11 @@ def _grouped(begins: list[int], marks: Iterable[_Mark]) -> defaultdict[int, list
 
 def _used(first: tuple[Symbol, ...], second: tuple[Symbol, ...]) -> tuple[tuple[Symbol, ...], ...]:
     """The voices with notes, of the two of a staff in a measure."""
-    sounding = [voice for voice in (first, second) if any(symbol.notes for symbol in voice)]
-    return tuple(sounding) or ((),)
+    used = [voice for voice in (first, second) if any(symbol.notes for symbol in voice)]
+    return tuple(used) or ((),)
 
 
-def _written(
+def _symbols_of_bars(
     stream: Stream,
     measures: Sequence[Measure],
     divisions: Sequence[Divisions],

@@ -76,10 +76,12 @@ def _ps13(pitches: NDArray[np.int_]) -> Iterator[Spelling]:
     """
     pitch = pitches - LOWEST_PITCH
     chroma = pitch % OCTAVE
-    heard = np.vstack([np.zeros((1, OCTAVE), int), np.eye(OCTAVE, dtype=int)[chroma].cumsum(0)])
+    cumulative_counts = np.vstack(
+        [np.zeros((1, OCTAVE), int), np.eye(OCTAVE, dtype=int)[chroma].cumsum(0)]
+    )
     at = np.arange(len(pitch))
     begin, end = np.maximum(at - _BEFORE, 0), np.minimum(at + _AFTER, len(pitch))
-    counts = heard[end] - heard[begin]
+    counts = cumulative_counts[end] - cumulative_counts[begin]
     tonics = np.arange(OCTAVE)
     letter_of_tonic = _FIRST_LETTER[chroma[0]] - _LETTER_IN_KEY[(chroma[0] - tonics) % OCTAVE]
     letters = (_LETTER_IN_KEY[(chroma[:, None] - tonics) % OCTAVE] + letter_of_tonic) % _LETTERS

@@ -17,12 +17,12 @@ from cadenza.music.viterbi import cheapest_sequence
 UPPER, LOWER = 0, 1
 _LEGATO = QUARTER / 6  # ticks by which a chord may overlap the next: players connect them so
 _ROUNDING = QUARTER / 32  # the same where nobody has played
-_MAX_LOST = 2 * QUARTER  # of a note that is cut; what is more costs no more
+_MAX_LOST = 2 * QUARTER  # the greatest cost of cutting a note
 _SECOND = 0.35 * QUARTER  # cost of a chord that is shared by both voices
 _ALONE = 0.15 * QUARTER  # cost of a chord in the lower voice while the upper rests
 _CROSSED = 0.5 * QUARTER  # cost of a note on the wrong side of the other voice
 _UNEVEN = 0.5  # cost of a tick by which a note is written longer than it is
-_KEPT = 8  # best histories that are followed
+_KEPT = 8  # width of the beam search
 
 
 class _LatestChord(NamedTuple):
@@ -38,8 +38,8 @@ class _LatestChord(NamedTuple):
 
     def lost(self, onset: float, legato: float) -> float:
         """The cost of ending at `onset`."""
-        cut = (end - onset for end in self.ends)
-        return sum(min(length, _MAX_LOST) for length in cut if length > legato)
+        overlaps = (end - onset for end in self.ends)
+        return sum(min(length, _MAX_LOST) for length in overlaps if length > legato)
 
 
 class _History(NamedTuple):
@@ -59,9 +59,9 @@ class Timed(NamedTuple):
 def voices(timed: Sequence[Timed], is_exact: bool) -> list[int]:
     """The voice of each of the notes of a staff, by start.
 
-    Of every chord the highest notes go to the upper voice and the others to the lower, so that
-    little is cut of held notes, voices rarely cross, and most is written in one voice. The best
-    division is found by a beam search. Unless all `is_exact`, notes may overlap a little.
+    The highest notes of every chord go to the upper voice and the others to the lower. A beam
+    search finds divisions that cut little of held notes, let voices rarely cross, and use mostly
+    one voice. Unless the notes are `is_exact`, they may overlap a little.
     """
     histories = [_History(0.0, (_LatestChord(), _LatestChord()), ())]
     groups = list(chords(timed, start=lambda each: each.note.start))
@@ -88,20 +88,22 @@ def _continued(histories: list[_History], chord: list[Timed], legato: float) -> 
     is_free = all(voice.end <= onset + legato for each in histories for voice in each.voices)
     if is_free and max(ends) - min(ends) <= legato:  # the usual case: nothing to be divided
         parts = parts[-1:]
-    made = [tuple((_made(part), _uneven(part, legato)) for part in pair) for pair in parts]
+    latest = [
+        tuple((_latest_chord(part), _uneven(part, legato)) for part in pair) for pair in parts
+    ]
     best: dict[tuple[_LatestChord, _LatestChord], _History] = {}
     for history in histories:
         lost = [voice.lost(onset, legato) for voice in history.voices]
-        for (upper, lower), ((high, rough), (low, rougher)) in zip(parts, made, strict=True):
+        for (upper, lower), ((high, rough), (low, rougher)) in zip(parts, latest, strict=True):
             cost = history.cost + rough + rougher + _crossing(history, upper, lower, onset + legato)
             cost += (lost[UPPER] if upper else 0.0) + (lost[LOWER] if lower else 0.0)
-            now = high or history.voices[UPPER], low or history.voices[LOWER]
-            if now not in best or cost < best[now].cost:
-                best[now] = _History(cost, now, (len(upper), history.path))
+            pair_of_voices = high or history.voices[UPPER], low or history.voices[LOWER]
+            if pair_of_voices not in best or cost < best[pair_of_voices].cost:
+                best[pair_of_voices] = _History(cost, pair_of_voices, (len(upper), history.path))
     return sorted(best.values(), key=lambda history: history.cost)[:_KEPT]
 
 
-def _made(part: list[Timed]) -> _LatestChord | None:
+def _latest_chord(part: list[Timed]) -> _LatestChord | None:
     if not part:
         return None
     return _LatestChord(tuple(each.end for each in part), part[-1].note.pitch, part[0].note.pitch)
