@@ -67,8 +67,8 @@ def unfolded(content: str) -> tuple[str, dict[str, MeiBar], Counter[str]]:
     root, counts = fromstring(content), Counter[str]()
     for number, element in enumerate(root.iter()):
         element.tag = element.tag.rpartition("}")[2]
-        named = {key: value for key, value in element.items() if key.endswith("}id")}
-        for key, value in named.items():
+        ids = {key: value for key, value in element.items() if key.endswith("}id")}
+        for key, value in ids.items():
             del element.attrib[key]
             element.set(_ID, value)
         if element.tag in _UNPLAYED or "fermata" in element.attrib:
@@ -86,22 +86,24 @@ def unfolded(content: str) -> tuple[str, dict[str, MeiBar], Counter[str]]:
             chord.attrib.update({key: value for key, value in lengths.items() if value})
     for parts in root.iter("parts"):
         _join(parts)
-    played: dict[str, MeiBar] = {}
+    bars: dict[str, MeiBar] = {}
     for score in root.iterfind(".//body//score"):
         if score.find(".//measure") is not None:
-            played |= _Unfolding(score, counts).played()
-    return tostring(root, "unicode"), played, counts
+            bars |= _Unfolding(score, counts).played()
+    return tostring(root, "unicode"), bars, counts
 
 
 def _join(parts: Element) -> None:
     """Make parts that are written apart one score, by the numbers of their measures."""
-    score, *others = list(parts)
-    for number, part in enumerate(others, start=1):
+    score, *other_parts = list(parts)
+    for number, part in enumerate(other_parts, start=1):
         for staff in part.iter():
             if staff.tag in ("staff", "staffDef"):
                 staff.set("n", f"{number * _MAX_STAVES + int(_number(staff.get('n')) or 1)}")
-        for own, its in zip(score.iter("measure"), part.iter("measure"), strict=False):
-            own.extend(its)
+        for measure, other_measure in zip(
+            score.iter("measure"), part.iter("measure"), strict=False
+        ):
+            measure.extend(other_measure)
         if (staves := score.find(".//staffGrp")) is not None:
             staves.extend(part.iter("staffDef"))
     parts.tag = "score"
@@ -141,13 +143,13 @@ class _Copying:
 def _copied(element: Element, name: str) -> Element:
     """A copy; ids in it, and links to them, have the `name` after them."""
     copy = deepcopy(element)
-    own = {each.get(_ID) for each in copy.iter()}
+    names = {each.get(_ID) for each in copy.iter()}
     for each in copy.iter():
         for key, value in each.items():
             if key == _ID:
                 each.set(key, f"{value}-{name}")
             elif value.startswith("#"):
-                links = (f"{x}-{name}" if x[1:] in own else x for x in value.split())
+                links = (f"{x}-{name}" if x[1:] in names else x for x in value.split())
                 each.set(key, " ".join(links))
     return copy
 
@@ -243,9 +245,11 @@ class _Unfolding:
         measure.extend(x for x in original.iter("tie") if {x.get("startid"), x.get("endid")} <= ids)
         copy = _copied(measure, f"bar{number}")
         layers = copy[0].findall("layer")
-        if len(own := staff.findall("layer")) > 1:
-            kept = {x.get("n"): x for x in own if not any(y.tag in _REPEATED_BARS for y in x)}
-            layers = [kept.get(layer.get("n"), layer) for layer in layers]
+        if len(own_layers := staff.findall("layer")) > 1:
+            layers_with_notes = {
+                x.get("n"): x for x in own_layers if not any(y.tag in _REPEATED_BARS for y in x)
+            }
+            layers = [layers_with_notes.get(layer.get("n"), layer) for layer in layers]
         staff[:] = layers
         self._bars[number].measure.extend(copy[1:])
 
@@ -253,28 +257,30 @@ class _Unfolding:
         self, layer: Element, earlier: Sequence[Element], metre: tuple[int, int]
     ) -> None:
         """Put the music before them in the place of signs that repeat a beat or half a bar."""
-        done = [each for before in earlier for each in _without_beams(before)]
-        first = len(done)
-        for each in _without_beams(layer):
+        elements = [sign for earlier_layer in earlier for sign in _without_beams(earlier_layer)]
+        first = len(elements)
+        for sign in _without_beams(layer):
             beats, unit = metre
-            if each.tag == "beatRpt":
+            if sign.tag == "beatRpt":
                 is_compound = unit >= 8 and beats % 3 == 0
-                length = (_number(each.get("beatdef")) or Fraction(3 if is_compound else 1)) / unit
-            elif each.tag == "halfmRpt":
+                length = (_number(sign.get("beatdef")) or Fraction(3 if is_compound else 1)) / unit
+            elif sign.tag == "halfmRpt":
                 length = Fraction(beats, 2 * unit)
             else:
-                done.append(each)
+                elements.append(sign)
                 continue
-            begin = len(done)
+            begin = len(elements)
             while begin and length > 0:
                 begin -= 1
-                length -= _length(done[begin])
+                length -= _length(elements[begin])
             if length:
                 self._counts["sign"] += 1
-                done.append(each)  # is silent, as long as what it stands for
+                elements.append(sign)  # is silent, as long as what it stands for
             else:
-                done += [_copied(one, f"beat{next(self._numbers)}") for one in done[begin:]]
-        layer[:] = done[first:]
+                elements += [
+                    _copied(element, f"beat{next(self._numbers)}") for element in elements[begin:]
+                ]
+        layer[:] = elements[first:]
 
     def _read_signs(self) -> None:
         """Read repeats, and jumps in signs and words."""
@@ -283,11 +289,11 @@ class _Unfolding:
         jumps, last = JumpReader(list(as_bars)), len(self._bars) - 1
         for number, bar in enumerate(self._bars):
             left, right = bar.measure.get("left"), bar.measure.get("right")
-            after, before = signs[min(number + 1, last)], signs[max(number - 1, 0)]
+            next_signs, previous_signs = signs[min(number + 1, last)], signs[max(number - 1, 0)]
             bar.signs.begins_repeat |= left in _REPEATS[1]
-            after.begins_repeat |= right in _REPEATS[1] and number < last
+            next_signs.begins_repeat |= right in _REPEATS[1] and number < last
             bar.signs.times = max(bar.signs.times, 1 + (right in _REPEATS[0]))
-            before.times = max(before.times, 1 + (left in _REPEATS[0]))
+            previous_signs.times = max(previous_signs.times, 1 + (left in _REPEATS[0]))
             for each in bar.measure.iter():
                 if each.tag in ("dir", "repeatMark"):
                     words = _WORDS.get(each.get("func", ""), each.get("func")) or ""
@@ -332,21 +338,21 @@ class _Unfolding:
     def played(self) -> dict[str, MeiBar]:
         """Unfold the score; its measures as they are played."""
         order = list(islice(self._order(self._score), _MAX))
-        seen, changed = Counter[int](), 1  # how many changes hold
+        turns, changed = Counter[int](), 1  # how many changes hold
         section, played, names = Element("section"), dict[str, MeiBar](), list[str]()
         for at, number in enumerate(order):
             bar = self._bars[number]
-            names.append(f"-turn{seen[number]}" if seen[number] else "")
+            names.append(f"-turn{turns[number]}" if turns[number] else "")
             if at and number != order[at - 1] + 1:
                 changed = 0  # all is said again
             section.extend(deepcopy(change) for change in self._changes[changed : bar.changes])
             changed = bar.changes
-            section.append(_copied(bar.measure, names[-1][1:]) if seen[number] else bar.measure)
+            section.append(_copied(bar.measure, names[-1][1:]) if turns[number] else bar.measure)
             played[section[-1].get(_ID, "")] = bar
-            seen[number] += 1
+            turns[number] += 1
         self._lead(order, names, list(section.iter("measure")))
         self._score[:] = [*self._changes[:1], section]
-        self._counts["bar"] += len(self._bars) - len(seen)
+        self._counts["bar"] += len(self._bars) - len(turns)
         return played
 
     def _lead(
@@ -464,10 +470,10 @@ def _length(element: Element) -> Fraction:
     """The length of an event in whole notes; zero of grace notes, clefs and the like."""
     if element.get("grace") or element.tag == "graceGrp":
         return _ZERO
-    written = element.get("dur", "")
-    unit = _number(written)
-    if unit or written in _LENGTHS:
-        length = 1 / unit if unit else _LENGTHS[written]
+    value = element.get("dur", "")
+    unit = _number(value)
+    if unit or value in _LENGTHS:
+        length = 1 / unit if unit else _LENGTHS[value]
         dots = int(_number(element.get("dots")) or len(element.findall("dot")))
         return length * (2 - Fraction(1, 2**dots))
     lengths = [_length(child) for child in element]

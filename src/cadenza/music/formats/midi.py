@@ -113,8 +113,8 @@ def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
     listed = _tracks(melodic)
     if tracks:
         check_chosen(tracks, listed)
-        sounding = [part for part in melodic if part.sounds]
-        melodic = [sounding[number - 1] for number in sorted(set(tracks))]
+        parts_with_notes = [part for part in melodic if part.sounds]
+        melodic = [parts_with_notes[number - 1] for number in sorted(set(tracks))]
     chosen = {part.channel for part in melodic}
     moves = merged_pedal(move for move in playing.moves if not tracks or move[1] in chosen)
     pedal = tuple(PedalEvent(clock.seconds(time), value) for time, value in moves)
@@ -132,9 +132,9 @@ def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
         counts["muted"] = len(muted)
     if playing.soft.intersection(chosen) or (playing.soft and not tracks):
         remarks.append("the soft pedal is left out")
-    played, all_remarks = repaired_notes(notes, counts, remarks, clock.seconds)
-    bars = _bars(file.division, messages, clock, until=played[-1].start)
-    return Score(played, pedal, _title(messages) or title, all_remarks, listed, bars)
+    score_notes, all_remarks = repaired_notes(notes, counts, remarks, clock.seconds)
+    bars = _bars(file.division, messages, clock, until=score_notes[-1].start)
+    return Score(score_notes, pedal, _title(messages) or title, all_remarks, listed, bars)
 
 
 _KARAOKE_TITLE, _KARAOKE = "@T", "soft karaoke"
@@ -203,10 +203,10 @@ def messages(
     for event in pedal:
         move = mido.Message("control_change", control=SUSTAIN, value=event.value)
         timed.append((ticks(event.time), 1, move))
-    now = 0
+    last_tick = 0
     for tick, _, message in sorted(timed, key=lambda item: item[:2]):
-        yield message.copy(time=tick - now)
-        now = tick
+        yield message.copy(time=tick - last_tick)
+        last_tick = tick
 
 
 @dataclass(frozen=True)
@@ -296,8 +296,8 @@ def _bars(
                 return ()
             known = bisect_right(keys, ticks[0], key=itemgetter(0))
             key = keys[known - 1][1] if known else None
-            after = min(end, first + (n + numerator) * four // 4)
-            said = words[bisect_left(words, (ticks[0], "")) : bisect_left(words, (after, ""))]
+            bar_end = min(end, first + (n + numerator) * four // 4)
+            said = words[bisect_left(words, (ticks[0], "")) : bisect_left(words, (bar_end, ""))]
             timed = tuple((clock.seconds(clock.at(tick)), text) for tick, text in said)
             bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator, key, timed))
     return tuple(bars)
@@ -305,10 +305,10 @@ def _bars(
 
 def _keys(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, int]]:
     """The key signatures [sharps] by ticks; none where all are C major, as of files without one."""
-    said = (each for track in tracks for each in track if each.kind == KEY and each.data)
-    keys = [(each.tick, int.from_bytes(each.data[:1], signed=True)) for each in said]
-    known = sorted((each for each in keys if abs(each[1]) <= MAX_SIGNS), key=itemgetter(0))
-    return known if any(key for _, key in known) else []
+    signatures = (each for track in tracks for each in track if each.kind == KEY and each.data)
+    keys = [(each.tick, int.from_bytes(each.data[:1], signed=True)) for each in signatures]
+    valid_keys = sorted((each for each in keys if abs(each[1]) <= MAX_SIGNS), key=itemgetter(0))
+    return valid_keys if any(key for _, key in valid_keys) else []
 
 
 def _words(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, str]]:
@@ -319,12 +319,12 @@ def _words(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, str]]:
     return sorted(each for each in texts if is_of_tempo(each[1]))
 
 
-def _text(written: bytes) -> str:
+def _text(data: bytes) -> str:
     """The text in a file, printable and on one line; empty if its encoding is not known."""
     try:
-        return printable(written.decode("utf-8"))
+        return printable(data.decode("utf-8"))
     except UnicodeDecodeError:
-        text = written.decode("cp1252", "replace")
+        text = data.decode("cp1252", "replace")
         return printable(text) if _is_western(text) else ""
 
 

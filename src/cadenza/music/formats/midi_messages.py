@@ -151,10 +151,10 @@ def _begins_chunk(data: bytes, at: int) -> bool:
     return data[at : at + 4].isalnum() and _chunk_end(data, at) <= len(data)
 
 
-def _after(data: bytes, left: int, end: int) -> int:
-    """Where the chunk after another begins, which was read up to `left` and should end at `end`."""
-    is_end = left <= end and _begins_chunk(data, end) and data.find(_TRACK, left, end) < 0
-    return end if is_end else _next_track(data, left)
+def _after(data: bytes, position: int, end: int) -> int:
+    """Where the next chunk begins, if one was read up to `position` and should end at `end`."""
+    is_end = position <= end and _begins_chunk(data, end) and data.find(_TRACK, position, end) < 0
+    return end if is_end else _next_track(data, position)
 
 
 def _next_track(data: bytes, at: int) -> int:

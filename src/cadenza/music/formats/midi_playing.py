@@ -212,9 +212,9 @@ class Channel:
     def _make_zone(self, size: int) -> None:
         """Make an MPE zone of the next channels, which is none if its size is 0."""
         members = [c for c in self.port.channels if 0 < abs(c.number - self.number) <= size]
-        for other in self.port.channels:
-            if other in (self, *members) or other.manager in (self, *members):
-                other.manager = None
+        for channel in self.port.channels:
+            if channel in (self, *members) or channel.manager in (self, *members):
+                channel.manager = None
         for member in members:
             member.manager, member.bend_range = self, _MEMBER_RANGE
         self.bend_range = _USUAL_RANGE
@@ -241,8 +241,8 @@ class Channel:
         """
         latest = bisect_right(self._bends, note.start, key=itemgetter(0)) - 1
         bend = self._bends[latest][1] if latest >= 0 else 0.0
-        until = self._bends[latest + 1][0] if latest + 1 < len(self._bends) else inf
-        semitones = round(bend) if 2 * (until - note.start) >= note.end - note.start else 0
+        next_bend = self._bends[latest + 1][0] if latest + 1 < len(self._bends) else inf
+        semitones = round(bend) if 2 * (next_bend - note.start) >= note.end - note.start else 0
         return semitones, abs(bend - semitones) <= _EXACT
 
     def is_silent(self, note: RawNote) -> bool:

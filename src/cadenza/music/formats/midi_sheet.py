@@ -84,10 +84,10 @@ def _signs(measures: Iterable[Measure]) -> Iterator[tuple[int, mido.MetaMessage]
     signature, key = None, None
     for measure in measures:
         tick, beat_type = _FINER * measure.start, measure.written[1]
-        here = measure.length * beat_type // WHOLE, beat_type
-        if here != signature:
-            signature = here
-            beats = {"numerator": here[0], "denominator": beat_type}
+        new_signature = measure.length * beat_type // WHOLE, beat_type
+        if new_signature != signature:
+            signature = new_signature
+            beats = {"numerator": new_signature[0], "denominator": beat_type}
             yield tick, mido.MetaMessage("time_signature", **beats)
         if measure.key not in (key, None):
             key = measure.key

@@ -75,9 +75,9 @@ def _document(sheet: Sheet) -> Element:
     for element in ("accidental", "beam"):
         SubElement(encoding, "supports", element=element, type="yes")
     if sheet.remarks:
-        others = SubElement(identification, "miscellaneous")
+        miscellaneous = SubElement(identification, "miscellaneous")
         for remark in sheet.remarks:
-            _text(others, "miscellaneous-field", remark).set("name", "remark")
+            _text(miscellaneous, "miscellaneous-field", remark).set("name", "remark")
     listed = SubElement(SubElement(root, "part-list"), "score-part", id=_PART)
     _text(listed, "part-name", "Piano").set("print-object", "no")  # it is the only one
     part = SubElement(root, "part", id=_PART)
@@ -97,25 +97,25 @@ class _Writer:
         self._continued = Counter[int]()
 
     def write(self, part: Element, index: int) -> None:
-        here = self._sheet.measures[index]
-        measure = SubElement(part, "measure", number=str(here.measure.number))
-        if here.measure.is_part:
+        current = self._sheet.measures[index]
+        measure = SubElement(part, "measure", number=str(current.measure.number))
+        if current.measure.is_part:
             measure.set("implicit", "yes")
-        before, following = (
+        previous, following = (
             self._sheet.measures[i] if 0 <= i < len(self._sheet.measures) else None
             for i in (index - 1, index + 1)
         )
-        self._attributes(measure, here, before)
-        for hand, staff in enumerate(here.staves):
-            accidentals = _accidentals(staff.voices, here.key)
+        self._attributes(measure, current, previous)
+        for hand, staff in enumerate(current.staves):
+            accidentals = _accidentals(staff.voices, current.key)
             for number, symbols in enumerate(staff.voices, start=1):
                 if (hand, number) != (RIGHT, 1):
-                    self._duration(SubElement(measure, "backup"), here.measure.length)
+                    self._duration(SubElement(measure, "backup"), current.measure.length)
                 voice = _Voice(number, hand, symbols, accidentals)
-                others = [each and each.staves[hand].octave for each in (before, following)]
+                others = [each and each.staves[hand].octave for each in (previous, following)]
                 if voice.is_first and staff.octave and others[0] != staff.octave:
                     measure.append(_octave_shift("down" if staff.octave > 0 else "up", hand))
-                self._voice(measure, here, voice)
+                self._voice(measure, current, voice)
                 if voice.is_first and staff.octave and others[1] != staff.octave:
                     measure.append(_octave_shift("stop", hand))
         if index == len(self._sheet.measures) - 1:
@@ -123,21 +123,21 @@ class _Writer:
             _text(barline, "bar-style", "light-heavy")
 
     def _attributes(
-        self, measure: Element, here: WrittenMeasure, before: WrittenMeasure | None
+        self, measure: Element, current: WrittenMeasure, previous: WrittenMeasure | None
     ) -> None:
         attributes = Element("attributes")
-        if before is None:
+        if previous is None:
             _text(attributes, "divisions", QUARTER // self._unit)
-        if before is None or before.key != here.key:
-            _text(SubElement(attributes, "key"), "fifths", here.key)
-        if before is None or before.measure.written != here.measure.written:
+        if previous is None or previous.key != current.key:
+            _text(SubElement(attributes, "key"), "fifths", current.key)
+        if previous is None or previous.measure.written != current.measure.written:
             time = SubElement(attributes, "time")
-            _text(time, "beats", here.measure.written[0])
-            _text(time, "beat-type", here.measure.written[1])
-        if before is None:
-            _text(attributes, "staves", len(here.staves))
-        for number, staff in enumerate(here.staves, start=1):
-            if before is None or before.staves[number - 1].clef != staff.clef:
+            _text(time, "beats", current.measure.written[0])
+            _text(time, "beat-type", current.measure.written[1])
+        if previous is None:
+            _text(attributes, "staves", len(current.staves))
+        for number, staff in enumerate(current.staves, start=1):
+            if previous is None or previous.staves[number - 1].clef != staff.clef:
                 clef = SubElement(attributes, "clef", number=str(number))
                 _text(clef, "sign", staff.clef)
                 _text(clef, "line", _CLEF_LINES[staff.clef])
@@ -165,14 +165,14 @@ class _Writer:
                 self._lasting(forward, symbol.value.end - symbol.value.start, voice)
 
     def _put(
-        self, measure: Element, directions: deque[tuple[int, Element]], now: int, until: int
+        self, measure: Element, directions: deque[tuple[int, Element]], position: int, until: int
     ) -> None:
-        """Write at tick `now` the directions up to `until`, with their offsets."""
+        """Write at tick `position` the directions up to `until`, with their offsets."""
         while directions and directions[0][0] <= until:
             tick, direction = directions.popleft()
-            if tick != now:
+            if tick != position:
                 offset = Element("offset")
-                offset.text = str((tick - now) // self._unit)
+                offset.text = str((tick - position) // self._unit)
                 if direction.tag == "direction":
                     offset.set("sound", "yes")
                 direction.insert(1, offset)  # after the type of the direction
@@ -232,7 +232,7 @@ class _Writer:
 
 def _accidentals(voices: Sequence[Sequence[Symbol]], key: int) -> dict[tuple[int, int], str]:
     """The accidentals of a staff in a measure, by symbol and index of the note."""
-    now: dict[tuple[str, int], int] = {}
+    alterations: dict[tuple[str, int], int] = {}
     signs: dict[tuple[int, int], str] = {}
     symbols = sorted((s for voice in voices for s in voice), key=lambda s: s.value.start)
     for symbol in symbols:
@@ -240,9 +240,9 @@ def _accidentals(voices: Sequence[Sequence[Symbol]], key: int) -> dict[tuple[int
             place = name.step, name.octave
             if symbol.tied:
                 continue
-            if now.get(place, alteration(STEPS.index(name.step), key)) != name.alter:
+            if alterations.get(place, alteration(STEPS.index(name.step), key)) != name.alter:
                 signs[id(symbol), i] = _ACCIDENTALS[name.alter]
-            now[place] = name.alter
+            alterations[place] = name.alter
     return signs
 
 
@@ -277,11 +277,11 @@ def _text(parent: Element, tag: str, text: object) -> Element:
 
 
 def _ticks(sheet: Sheet) -> Iterator[int]:
-    for written in sheet.measures:
-        yield written.measure.end
-        yield from (tempo.tick for tempo in written.tempos)
-        yield from (mark.tick for mark in written.pedal)
-        for staff in written.staves:
+    for measure in sheet.measures:
+        yield measure.measure.end
+        yield from (tempo.tick for tempo in measure.tempos)
+        yield from (mark.tick for mark in measure.pedal)
+        for staff in measure.staves:
             for voice in staff.voices:
                 yield from (symbol.value.end for symbol in voice)
 
@@ -302,8 +302,8 @@ def _notations(symbol: Symbol, note: Note | None, is_first: bool) -> Element:
     notations = Element("notations")
     for kind in _ties(symbol) if note is not None else ():
         SubElement(notations, "tied", type=kind)
-    for kind, is_there in (("start", symbol.value.opens), ("stop", symbol.value.closes)):
-        if is_first and is_there:
+    for kind, is_tied in (("start", symbol.value.opens), ("stop", symbol.value.closes)):
+        if is_first and is_tied:
             SubElement(notations, "tuplet", type=kind, number="1")
     if note is not None and note.finger is not None and not symbol.tied:
         placement = "above" if note.finger.hand == RIGHT else "below"
@@ -318,17 +318,17 @@ def _notations(symbol: Symbol, note: Note | None, is_first: bool) -> Element:
     return notations
 
 
-def _directions(here: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]]:
+def _directions(measure: WrittenMeasure, hand: int) -> Iterator[tuple[int, Element]]:
     """Yield directions by their ticks: dynamics and tempos above, the pedal below."""
     if hand != RIGHT:
-        yield from ((mark.tick, _pedal(mark)) for mark in here.pedal)
+        yield from ((mark.tick, _pedal(mark)) for mark in measure.pedal)
         return
-    if here.dynamic:
+    if measure.dynamic:
         direction, sign = _direction("dynamics", RIGHT, "below")
-        SubElement(sign, here.dynamic)
-        yield here.measure.start, direction
-    for tempo in here.tempos:
-        yield tempo.tick, _tempo(tempo, here)
+        SubElement(sign, measure.dynamic)
+        yield measure.measure.start, direction
+    for tempo in measure.tempos:
+        yield tempo.tick, _tempo(tempo, measure)
         if tempo.words:
             direction, words = _direction("words", RIGHT, "above")
             words.text = tempo.words
@@ -386,17 +386,17 @@ def _beams(voice: Sequence[Symbol], here: WrittenMeasure) -> dict[int, list[str]
         indices = list(run)
         if not is_flagged or len(indices) < 2:
             continue
-        own = [flags[i] for i in indices]
+        group_flags = [flags[i] for i in indices]
         for k, i in enumerate(indices):
-            beams[i] = [_beam(own, k, level) for level in range(1, own[k] + 1)]
+            beams[i] = [_beam(group_flags, k, level) for level in range(1, group_flags[k] + 1)]
     return beams
 
 
 def _beam(flags: Sequence[int], k: int, level: int) -> str:
-    before = k > 0 and flags[k - 1] >= level
-    after = k + 1 < len(flags) and flags[k + 1] >= level
-    if before and after:
+    continues_before = k > 0 and flags[k - 1] >= level
+    continues_after = k + 1 < len(flags) and flags[k + 1] >= level
+    if continues_before and continues_after:
         return "continue"
-    if before or after:
-        return "end" if before else "begin"
+    if continues_before or continues_after:
+        return "end" if continues_before else "begin"
     return "backward hook" if k else "forward hook"

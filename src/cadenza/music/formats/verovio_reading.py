@@ -61,13 +61,13 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
     music of it, or what `read_midi` refuses.
     """
     content = read_bytes(path)
-    played = _played(content, form)
-    if not played:
+    output = _played(content, form)
+    if not output:
         raise CadenzaError(
             f"{path}: cannot be read as {form}; open it in a notation program such as "
             "MuseScore, and export it as MusicXML"
         )
-    midi, marks, left_out = json.loads(played)
+    midi, marks, left_out = json.loads(output)
     file = parsed(base64.b64decode(midi))
     # Verovio has incomplete bars as long as complete ones, and moves tempos to bars.
     music = [[each for each in track if each.kind not in (METRE, TEMPO)] for track in file.tracks]
@@ -82,10 +82,10 @@ def read_by_verovio(path: Path, form: str, tracks: Collection[int] = ()) -> Scor
     return replace(score, remarks=remarks, composer=composer)
 
 
-def _named(what: re.Pattern[str], content: bytes) -> str:
+def _named(pattern: re.Pattern[str], content: bytes) -> str:
     """What the head of a file calls something, without tags; empty if it does not."""
-    found = what.search(_text(content)[:_HEAD])
-    return printable(unescape(re.sub("<[^>]*>", "", found[found.re.groups]))) if found else ""
+    match = pattern.search(_text(content)[:_HEAD])
+    return printable(unescape(re.sub("<[^>]*>", "", match[match.re.groups]))) if match else ""
 
 
 def _text(content: bytes) -> str:
@@ -93,20 +93,20 @@ def _text(content: bytes) -> str:
     return content.decode(encoding, "replace")
 
 
-def _remarks(left_out: Counter[str]) -> list[str]:
+def _remarks(counts: Counter[str]) -> list[str]:
     """Remarks on what is not played, or not as it is written."""
     return counted_remarks(
         (
-            (left_out["copy"], "copy", "of what is not there left out"),
-            (left_out["sign"], "bar-repeat sign", "left out"),
-            (left_out["section"], "section", "that is to be played but not there left out"),
-            (left_out["jump"], "jump", "without a segno or coda to go to left out"),
-            (left_out["bar"], "bar", "passed over by all repeats and jumps"),
-            (left_out["tempo"], "tempo word", AS_USUAL),
-            (left_out["ornament"], "ornament", "left out"),
-            (left_out["fermata"], "fermata", "left out"),
-            (left_out["tremolo"], "tremolo", "between notes left out"),
-            (left_out["glissando"], "glissando", "left out"),
+            (counts["copy"], "copy", "of what is not there left out"),
+            (counts["sign"], "bar-repeat sign", "left out"),
+            (counts["section"], "section", "that is to be played but not there left out"),
+            (counts["jump"], "jump", "without a segno or coda to go to left out"),
+            (counts["bar"], "bar", "passed over by all repeats and jumps"),
+            (counts["tempo"], "tempo word", AS_USUAL),
+            (counts["ornament"], "ornament", "left out"),
+            (counts["fermata"], "fermata", "left out"),
+            (counts["tremolo"], "tremolo", "between notes left out"),
+            (counts["glissando"], "glissando", "left out"),
         )
     )
 
@@ -194,25 +194,25 @@ def _marks(
 
     `places` is Verovio's map of time.
     """
-    known = {each["measureOn"]: each["qstamp"] for each in places if "measureOn" in each}
+    quarters = {each["measureOn"]: each["qstamp"] for each in places if "measureOn" in each}
     begins = [0.0]
     for name in list(bars)[1:]:
-        begins.append(known.get(name, begins[-1]))  # empty ones may be missing
+        begins.append(quarters.get(name, begins[-1]))  # empty ones may be missing
     begins.append(places[-1]["qstamp"])
     marks: list[Message] = []
     metre, tempo = (0, 0), 0.0
     for bar, begin, end in zip(bars.values(), begins, begins[1:], strict=False):
         if end <= begin:
             continue
-        before, metre = metre, _metre(end - begin, bar.metre[1])
-        if metre != before:
+        last_metre, metre = metre, _metre(end - begin, bar.metre[1])
+        if metre != last_metre:
             content = bytes((metre[0], metre[1].bit_length() - 1, 0, 0))
             marks.append(Message(round(begin * division), METRE, content))
-        for place, now in bar.tempos:
-            if now != tempo:
+        for place, new_tempo in bar.tempos:
+            if new_tempo != tempo:
                 tick = round((begin + float(place)) * division)
-                marks.append(Message(tick, TEMPO, round(_MINUTE / now).to_bytes(3, "big")))
-            tempo = now
+                marks.append(Message(tick, TEMPO, round(_MINUTE / new_tempo).to_bytes(3, "big")))
+            tempo = new_tempo
     return sorted(marks, key=itemgetter(0))
 
 

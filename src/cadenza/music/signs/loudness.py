@@ -70,12 +70,12 @@ class Loudness:
         self._segments = [(Fraction(0), float(unmarked), 0.0)]
         dynamics, begins = sorted(levels), sorted(hairpins)
         for place in sorted({*levels, *hairpins}):
-            now = levels.get(place, self._at(place))
-            self._add(place, now)
+            velocity = levels.get(place, self._at(place))
+            self._add(place, velocity)
             if hairpin := hairpins.get(place):
                 dynamic, following = _next(dynamics, place), _next(begins, place)
                 goal = None if dynamic is None else (dynamic, levels[dynamic])
-                self._ramp(hairpin, now, goal, following)
+                self._ramp(hairpin, velocity, goal, following)
 
     def at(self, place: Fraction) -> int:
         """The velocity, 1 to 127, of notes at a place [quarters]; 0 where a dynamic of 0 holds."""
@@ -85,8 +85,8 @@ class Loudness:
         return within_midi(velocity) if velocity else 0
 
     def _at(self, place: Fraction) -> float:
-        after = bisect_right(self._segments, place, key=itemgetter(0))
-        begin, velocity, slope = self._segments[max(after - 1, 0)]
+        index = bisect_right(self._segments, place, key=itemgetter(0))
+        begin, velocity, slope = self._segments[max(index - 1, 0)]
         return velocity + slope * float(place - begin)
 
     def _add(self, place: Fraction, velocity: float, slope: float = 0.0) -> None:
@@ -97,26 +97,26 @@ class Loudness:
     def _ramp(
         self,
         hairpin: Hairpin,
-        now: float,
+        first_velocity: float,
         dynamic: tuple[Fraction, float] | None,
         following: Fraction | None,
     ) -> None:
-        """Add the change under a hairpin that begins at a velocity `now`, and what follows it.
+        """Add the change under a hairpin from `first_velocity` on, and the velocity after it.
 
         The next dynamic has a place and a velocity, the `following` hairpin a place.
         """
         end, grows = hairpin.end, hairpin.step > 0
-        begin = SOFTEST if hairpin.niente and grows else now
+        begin = SOFTEST if hairpin.niente and grows else first_velocity
         goal = begin + hairpin.step * HAIRPIN_STEP
         if hairpin.niente:
-            goal = max(goal, now) if grows else SOFTEST
+            goal = max(goal, first_velocity) if grows else SOFTEST
         if end is None:
             open_end = hairpin.onset + OPEN_HAIRPIN if dynamic is None else dynamic[0]
             end = open_end if following is None else following
         if dynamic is not None:
             end = min(end, dynamic[0])
-            leads_there = (dynamic[1] - begin) * hairpin.step > 0 and (grows or not hairpin.niente)
-            if dynamic[0] <= end + _GOAL_WITHIN and leads_there:
+            is_goal = (dynamic[1] - begin) * hairpin.step > 0 and (grows or not hairpin.niente)
+            if dynamic[0] <= end + _GOAL_WITHIN and is_goal:
                 goal = dynamic[1]
         if end > hairpin.onset:
             goal = min(max(goal, SOFTEST), LOUDEST)
@@ -126,8 +126,8 @@ class Loudness:
 
 def _next(places: list[Fraction], place: Fraction) -> Fraction | None:
     """The first of some `places`, in their order, that comes after another, if any."""
-    after = bisect_right(places, place)
-    return places[after] if after < len(places) else None
+    index = bisect_right(places, place)
+    return places[index] if index < len(places) else None
 
 
 def within_midi(velocity: float) -> int:

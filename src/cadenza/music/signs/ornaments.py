@@ -53,12 +53,12 @@ def alteration(line: int, fifths: int) -> int:
     return (fifths - place + len(_SHARPS) - 1) // len(_SHARPS)
 
 
-def ornament_notes(sounding: SoundingNote) -> list[Played]:
+def ornament_notes(sound: SoundingNote) -> list[Played]:
     """The notes that a note with an ornament stands for, which fill its time without gaps.
 
     Mordents are those of Grove, turns those of Gehrkens.
     """
-    note, sign, start, end = sounding.of, sounding.of.ornament, sounding.start, sounding.end
+    note, sign, start, end = sound.of, sound.of.ornament, sound.start, sound.end
     assert sign is not None
     main, lower = note.pitch, neighbour(note, -1, sign.below)
     upper = other = (
@@ -66,7 +66,7 @@ def ornament_notes(sounding: SoundingNote) -> list[Played]:
     )
     last = [main - sign.turn, main] if sign.turn else []
     if sign.kind is OrnamentKind.TRILL:
-        opening = int(not sounding.led_to) if sign.begins is None else sign.begins
+        opening = int(not sound.led_to) if sign.begins is None else sign.begins
         pitches = _trill(sign, {1: upper, 0: main, -1: lower}, opening, end - start, last)
         each = (end - start) / len(pitches)
         if each < _FASTEST:
@@ -152,11 +152,11 @@ def place_graces(voice: Voice, tempo: TempoMap) -> None:
     (Gehrkens).
     """
     onsets = list(voice.chords)
-    before = 0  # chords that begin earlier than the grace notes
+    num_before = 0  # chords that begin earlier than the grace notes
     for onset, graces in voice.graces.items():
-        while before < len(onsets) and onsets[before] < onset:
-            before += 1
-        previous = voice.chords[onsets[before - 1]] if before else None
+        while num_before < len(onsets) and onsets[num_before] < onset:
+            num_before += 1
+        previous = voice.chords[onsets[num_before - 1]] if num_before else None
         main = None if _grace(graces[0]).after else voice.chords.get(onset)
         for note in main or ():
             note.led_to = True
@@ -221,11 +221,11 @@ def _before_the_beat(
         length = beat - float(clock([first.onset - grace.takes * len(graces)])[0])
     steals = ends_trill
     if previous is not None:
-        begun = min(note.start for note in previous)
+        onset = min(note.start for note in previous)
         if grace.of_previous:
-            length = sum(_share(_grace(chord).of_previous) for chord in graces) * (beat - begun)
+            length = sum(_share(_grace(chord).of_previous) for chord in graces) * (beat - onset)
             steals = True
-        length = min(length, _MAX_TAKEN * (beat - begun))
+        length = min(length, _MAX_TAKEN * (beat - onset))
     _in_turn(graces, beat - length, beat)
     if previous is not None and steals:
         for note in previous:

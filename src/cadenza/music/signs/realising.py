@@ -58,22 +58,22 @@ def realised(
     for voice in voices:
         articulate(voice, slurred.get((voice.part, voice.name), set()))
         play_tremolos(voice)
-    sounding: list[SoundingNote] = []
+    sounding_notes: list[SoundingNote] = []
     for note in timed:
         note.velocity = within_midi(note.velocity)
         if note.of.ornament is not None and note.of.grace is None:
             for start, end, pitch in ornament_notes(note):
-                sounding.append(replace(note, start=start, end=end, pitch=pitch))
+                sounding_notes.append(replace(note, start=start, end=end, pitch=pitch))
         elif note.turns is not None:
-            sounding += (replace(note, start=start, end=end) for start, end in note.turns)
+            sounding_notes += (replace(note, start=start, end=end) for start, end in note.turns)
         else:
-            sounding.append(note)
-        if len(sounding) > MAX_NOTES:
+            sounding_notes.append(note)
+        if len(sounding_notes) > MAX_NOTES:
             raise CadenzaError(
                 f"over {MAX_NOTES} notes with all ornaments and repeats, too many; read the song "
                 "as plain"
             )
-    return sorted(sounding, key=lambda note: (note.start, note.pitch))
+    return sorted(sounding_notes, key=lambda note: (note.start, note.pitch))
 
 
 def _timed(
@@ -165,20 +165,22 @@ def slurred_onsets(notes: Iterable[SignedNote]) -> dict[tuple[int, str], set[Fra
             onsets.setdefault(voice, set()).add(note.onset)
         ends += ((note.onset, end.begins, end.number, voice) for end in note.slurs)
     spans: dict[tuple[int, str], list[tuple[Fraction, Fraction]]] = {}
-    begun: dict[tuple[int, int], tuple[Fraction, tuple[int, str]]] = {}
+    starts: dict[tuple[int, int], tuple[Fraction, tuple[int, str]]] = {}
     for onset, begins, number, voice in sorted(ends):  # at one place, ends first
         if begins:
-            begun[voice[0], number] = onset, voice
-        elif (start := begun.pop((voice[0], number), None)) is not None:
+            starts[voice[0], number] = onset, voice
+        elif (start := starts.pop((voice[0], number), None)) is not None:
             spans.setdefault(start[1], []).append((start[0], onset))
     return {
-        voice: _within(sorted(onsets[voice]), spans[voice]) for voice in spans if voice in onsets
+        voice: _onsets_within(sorted(onsets[voice]), spans[voice])
+        for voice in spans
+        if voice in onsets
     }
 
 
-def _within(onsets: list[Fraction], spans: list[tuple[Fraction, Fraction]]) -> set[Fraction]:
+def _onsets_within(onsets: list[Fraction], spans: list[tuple[Fraction, Fraction]]) -> set[Fraction]:
     """The `onsets`, sorted, that lie in any of the spans, which do not contain their ends."""
-    within: set[Fraction] = set()
+    onsets_inside: set[Fraction] = set()
     spans.sort()
     reach, span = Fraction(0), 0
     for onset in onsets:
@@ -186,8 +188,8 @@ def _within(onsets: list[Fraction], spans: list[tuple[Fraction, Fraction]]) -> s
             reach = max(reach, spans[span][1])
             span += 1
         if span and onset < reach:
-            within.add(onset)
-    return within
+            onsets_inside.add(onset)
+    return onsets_inside
 
 
 def _share(marks: frozenset[Mark], slurred: bool) -> float:
@@ -323,9 +325,9 @@ def _count(duration: Fraction, marks: int) -> int:
     """The number of notes of a tremolo, by how many quarters it lasts."""
     if duration <= 0:
         return 1
-    shown = duration * _as_shown(duration)
+    value = duration * _as_shown(duration)
     strokes = 2 ** min(marks or _UNMEASURED, _MAX_MARKS)
-    return max(1, round(shown * strokes if shown >= 1 else strokes * (shown * _undotted(shown))))
+    return max(1, round(value * strokes if value >= 1 else strokes * (value * _undotted(value))))
 
 
 def _as_shown(duration: Fraction) -> Fraction:
@@ -336,15 +338,15 @@ def _as_shown(duration: Fraction) -> Fraction:
     return Fraction(odd, 1 << (odd.bit_length() - 1))
 
 
-def _undotted(shown: Fraction) -> int:
+def _undotted(value: Fraction) -> int:
     """How many of the value of a flagged note, without its dots, are in a quarter."""
     parts = 1
-    while Fraction(1, parts) > shown:
+    while Fraction(1, parts) > value:
         parts *= 2
     return parts
 
 
 def _even(start: float, end: float, count: int, times: int = 1) -> Times:
     """So many even notes between two times [s], fewer if too fast; a multiple of `times`."""
-    most = max(int((end - start) * NOTES_A_SECOND + 1e-9), 1)
-    return even_times(start, end, max(min(count, most) // times, 1) * times)
+    max_count = max(int((end - start) * NOTES_A_SECOND + 1e-9), 1)
+    return even_times(start, end, max(min(count, max_count) // times, 1) * times)

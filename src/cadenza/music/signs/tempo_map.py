@@ -157,25 +157,25 @@ class TempoMap:
         waits = _waits(marks, flow)
         waited, segments = 0.0, []
         for place in sorted({*flow._places, *waits}):
-            held, silence = waits.get(place, (0.0, 0.0))
-            waited += held + silence
-            cut = flow._from(place, silence)
-            segments.append(replace(cut, time=cut.time + waited))
+            hold, silence = waits.get(place, (0.0, 0.0))
+            waited += hold + silence
+            segment = flow._from(place, silence)
+            segments.append(replace(segment, time=segment.time + waited))
         return cls(segments)
 
     def onsets(self, places: Sequence[Fraction] | Floats) -> Floats:
-        """(N,) when that begins [s] which stands at `places` (N,) [quarters], after all waiting."""
+        """Onsets (N,) [s] at `places` (N,) [quarters], after all waiting there."""
         return self._at(np.asarray(places, np.float64))[0]
 
     def ends(self, places: Sequence[Fraction] | Floats) -> Floats:
-        """(N,) when that ends [s] which lasts up to `places`, (N,) [quarters].
+        """Offsets (N,) [s] at `places` (N,) [quarters].
 
-        A fermata there holds it; the silence of a caesura comes after it.
+        A fermata there delays them; the silence of a caesura comes after them.
         """
         quarters = np.asarray(places, np.float64)
         time, segment = self._at(quarters)
-        there = self._quarter[segment] == quarters
-        return time - np.where(there, self._silence[segment], 0.0)
+        is_at_wait = self._quarter[segment] == quarters
+        return time - np.where(is_at_wait, self._silence[segment], 0.0)
 
     def played(self, sections: Iterable[tuple[Fraction, Fraction]]) -> TempoMap:
         """The map of music that is played section by section, from begin to end of each [quarters].
@@ -187,9 +187,9 @@ class TempoMap:
         for begin, end in sections:
             first, last = self.onsets([begin, end]).tolist()
             inside = slice(bisect_right(self._places, begin), bisect_left(self._places, end))
-            for cut in (self._from(begin, silence), *self.segments[inside]):
-                begun = time + cut.time - first
-                segments.append(replace(cut, place=at + cut.place - begin, time=begun))
+            for segment in (self._from(begin, silence), *self.segments[inside]):
+                begin_time = time + segment.time - first
+                segments.append(replace(segment, place=at + segment.place - begin, time=begin_time))
             if len(segments) > MAX_SEGMENTS:
                 raise CadenzaError(f"over {MAX_SEGMENTS} tempos with all repeats, too many")
             silence = last - float(self.ends([end])[0])
@@ -230,54 +230,54 @@ def _tempos(marks: Iterable[TempoMark], end: Fraction | None) -> list[TempoSegme
     primo = next((mark.seconds for mark in changes if isinstance(mark, Tempo)), None)
     speeds = [TempoSegment(Fraction(0), _SECONDS_PER_QUARTER)]
     primo = _SECONDS_PER_QUARTER if primo is None else primo
-    before, gradual = _SECONDS_PER_QUARTER, False  # what "a tempo" leads back to; whether in a ramp
+    steady, gradual = _SECONDS_PER_QUARTER, False  # the tempo of "a tempo"; whether in a ramp
     for mark, following in zip_longest(changes, changes[1:]):
-        now = min(max(speeds[-1].seconds, _FASTEST), _SLOWEST)
-        if mark.onset in tempos and not isinstance(mark, Tempo) and _is_said(mark, speeds):
+        current = min(max(speeds[-1].seconds, _FASTEST), _SLOWEST)
+        if mark.onset in tempos and not isinstance(mark, Tempo) and _matches_tempo(mark, speeds):
             continue
         if isinstance(mark, TempoWord) and mark.change in _GRADUAL:
-            before, gradual = before if gradual else now, True
+            steady, gradual = steady if gradual else current, True
             if isinstance(following, TempoWord) and following.change is TempoChange.TEMPO_PRIMO:
                 following = Tempo(following.onset, primo)
-            speeds += _ramp(mark, now, before, following, end)
+            speeds += _ramp(mark, current, steady, following, end)
             continue
         if isinstance(mark, Tempo):
             seconds = mark.seconds
         elif isinstance(mark, Modulation):
-            seconds = now * float(mark.slower)
+            seconds = current * float(mark.slower)
         else:
             seconds = {
-                TempoChange.MENO_MOSSO: now / MENO_MOSSO,
-                TempoChange.PIU_MOSSO: now / PIU_MOSSO,
-                TempoChange.A_TEMPO: before,
+                TempoChange.MENO_MOSSO: current / MENO_MOSSO,
+                TempoChange.PIU_MOSSO: current / PIU_MOSSO,
+                TempoChange.A_TEMPO: steady,
                 TempoChange.TEMPO_PRIMO: primo,
             }[mark.change]
         sudden = isinstance(mark, TempoWord) and mark.change in _SUDDEN
-        before, gradual = now if sudden else seconds, False
+        steady, gradual = current if sudden else seconds, False
         speeds.append(TempoSegment(mark.onset, seconds))
     return _timed(speeds)
 
 
-def _is_said(word: TempoWord | Modulation, speeds: Sequence[TempoSegment]) -> bool:
-    """Whether the tempo at a mark, the last of `speeds`, is what it means, and begins no change."""
+def _matches_tempo(word: TempoWord | Modulation, speeds: Sequence[TempoSegment]) -> bool:
+    """Whether a word means the tempo at its place, the last of `speeds`, and no later change."""
     if isinstance(word, Modulation) or word.change not in _GRADUAL:
         return True
-    before = [speed.seconds for speed in speeds[-2:] if speed.place < word.onset]
+    earlier = [speed.seconds for speed in speeds[-2:] if speed.place < word.onset]
     slower = word.change is TempoChange.RITARDANDO
-    return any(before) and (speeds[-1].seconds > before[-1]) == slower
+    return any(earlier) and (speeds[-1].seconds > earlier[-1]) == slower
 
 
 def _ramp(
     word: TempoWord,
-    now: float,
-    before: float,
+    begin: float,
+    previous: float,
     following: Tempo | TempoWord | Modulation | None,
     end: Fraction | None,
 ) -> list[TempoSegment]:
-    """A gradual change of the length of a quarter from `now` [s] on, and the tempo after it.
+    """A gradual change of the length of a quarter from `begin` [s] on, and the tempo after it.
 
-    It leads to the tempo that follows where it reaches it and that is on the way. Where the score
-    forgets it, the tempo after it is that `before` it.
+    It leads to the following tempo, if that is faster or slower as the word says. If the score does
+    not end the change, the `previous` tempo returns.
     """
     slower = word.change is TempoChange.RITARDANDO
     open_end = word.onset + OPEN_RAMP
@@ -287,16 +287,16 @@ def _ramp(
     reach = min(reaches)
     if reach <= word.onset:
         return []
-    goal = now / (RITARDANDO if slower else ACCELERANDO)
+    goal = begin / (RITARDANDO if slower else ACCELERANDO)
     if (
         isinstance(following, Tempo)
         and following.onset == reach
-        and (following.seconds > now) == slower
+        and (following.seconds > begin) == slower
     ):
         goal = following.seconds
-    slope = (goal - now) / float(reach - word.onset)
-    after = before if word.end is None and reach == open_end else goal
-    return [TempoSegment(word.onset, now, slope), TempoSegment(reach, after)]
+    slope = (goal - begin) / float(reach - word.onset)
+    final = previous if word.end is None and reach == open_end else goal
+    return [TempoSegment(word.onset, begin, slope), TempoSegment(reach, final)]
 
 
 def _timed(segments: Iterable[TempoSegment]) -> list[TempoSegment]:
@@ -304,32 +304,35 @@ def _timed(segments: Iterable[TempoSegment]) -> list[TempoSegment]:
     timed: list[TempoSegment] = []
     for segment in {segment.place: segment for segment in segments}.values():
         if timed:
-            before = timed[-1]
-            length = float(segment.place - before.place)
-            time = before.time + length * (before.seconds + before.slope * length / 2)
+            previous = timed[-1]
+            length = float(segment.place - previous.place)
+            time = previous.time + length * (previous.seconds + previous.slope * length / 2)
             segment = replace(segment, time=time)
         timed.append(segment)
     return timed
 
 
 def _waits(marks: Iterable[TempoMark], flow: TempoMap) -> Mapping[Fraction, tuple[float, float]]:
-    """Places [quarters] -> for how long [s] what sounds there is held, and for how long silent.
+    """Places [quarters] -> how long sounds are held there, and the silence after them [s].
 
     Fermatas that sound together are one: they hold where the first of them ends, and the shortest
     of their notes counts.
     """
     waits: dict[Fraction, tuple[float, float]] = {}
     groups: list[list[Fermata]] = []
-    for each in sorted((m for m in marks if isinstance(m, Fermata)), key=lambda m: m.end):
-        if groups and (each.onset < groups[-1][0].end or each.end == groups[-1][0].end):
-            groups[-1].append(each)
+    for fermata in sorted((m for m in marks if isinstance(m, Fermata)), key=lambda m: m.end):
+        if groups and (fermata.onset < groups[-1][0].end or fermata.end == groups[-1][0].end):
+            groups[-1].append(fermata)
         else:
-            groups.append([each])
+            groups.append([fermata])
     for group in groups:
         place = group[0].end
-        begins = (each.onset if each.onset < each.end else place - _AT_BARLINE for each in group)
+        begins = (
+            fermata.onset if fermata.onset < fermata.end else place - _AT_BARLINE
+            for fermata in group
+        )
         begin, end = flow.onsets([max(begins), place]).tolist()
-        factor = max(each.factor for each in group)
+        factor = max(fermata.factor for fermata in group)
         if factor > 1:
             waits[place] = (factor - 1) * (end - begin), 0.0
     for mark in marks:

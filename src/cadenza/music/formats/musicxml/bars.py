@@ -129,11 +129,11 @@ class _BarReader:
 
     def _begin(self, measure: int, quarter: Fraction, printed: str) -> None:
         digits = _COUNTED.match(printed)
-        before = self.bars[-1].number if self.bars else 1
-        counted = int(digits[0]) if digits else before if printed else measure + 1
+        previous_number = self.bars[-1].number if self.bars else 1
+        bar_number = int(digits[0]) if digits else previous_number if printed else measure + 1
         end, signs = self._begins[measure + 1], Signs(ending=self._bracket)
         self.bars.append(
-            WrittenBar(measure, quarter, end, counted, self._beat_type, signs, key=self._key)
+            WrittenBar(measure, quarter, end, bar_number, self._beat_type, signs, key=self._key)
         )
 
     def _read_key(self, attributes: Element) -> None:
@@ -198,7 +198,7 @@ def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
     first, returned = 0, -1  # bar of the movement; bar from which the latest jump led back, if any
     goes_to_coda = False  # whether a sign to the coda is followed
     jumped = set[int]()  # bars whose jump back was taken
-    played = Counter[int]()  # how often bars were played
+    counts = Counter[int]()  # how often bars were played
     while at < len(bars):
         signs = bars[at]
         section = sections[bisect_right(sections, at, key=lambda each: each.begin) - 1]
@@ -213,13 +213,13 @@ def played_order(bars: Sequence[Signs]) -> Iterator[tuple[int, int]]:
                 at = first = returned + 1
                 turn, returned, goes_to_coda = 1, -1, False
                 continue
-            played[at] += 1
+            counts[at] += 1
             goal = None
-            if _is_on(signs.to_coda_on, played[at], is_last and goes_to_coda):
+            if _is_on(signs.to_coda_on, counts[at], is_last and goes_to_coda):
                 goal = goals.of_coda(at)
                 goes_to_coda &= goal is None
             is_next = is_last and at not in jumped
-            if goal is None and _is_on(signs.returns_on, played[at], is_next):
+            if goal is None and _is_on(signs.returns_on, counts[at], is_next):
                 jumped.add(at)
                 goal = goals.of_return(at, first)
                 if goal is not None:
@@ -349,11 +349,13 @@ class Unrolled:
     def __init__(self, bars: Sequence[WrittenBar]) -> None:
         self._bars = bars
         self.passages: list[Passage] = []
-        now, before = ZERO, -1
+        begin, previous = ZERO, -1
         for index, turn in islice(played_order([bar.signs for bar in bars]), _MAX + 1):
             bar = bars[index]
-            self.passages.append(Passage(index, bar, turn, now - bar.begin, index != before + 1))
-            now, before = now + bar.end - bar.begin, index
+            self.passages.append(
+                Passage(index, bar, turn, begin - bar.begin, index != previous + 1)
+            )
+            begin, previous = begin + bar.end - bar.begin, index
         _check(len(self.passages), "bars")
         for at, (passage, following) in enumerate(pairwise([*self.passages, None])):
             assert passage is not None
@@ -369,13 +371,13 @@ class Unrolled:
             sections.append((begin, passage.bar.end))
         return sections
 
-    def notes(self, written: Iterable[SheetNote], counts: Counter[str]) -> list[SignedNote]:
+    def notes(self, sheet_notes: Iterable[SheetNote], counts: Counter[str]) -> list[SignedNote]:
         """The notes of a part as they are played; tied notes are one, with the signs of all.
 
         Those that no key plays are left out, and added to `counts`.
         """
         by_bar: defaultdict[int, list[SheetNote]] = defaultdict(list)
-        for note in written:
+        for note in sheet_notes:
             by_bar[bar_at(self._bars, note.measure, note.signed.onset)].append(note)
         notes: list[SignedNote] = []
         # Notes that ties lead on from, and in which passages, by pitch and end.
@@ -387,19 +389,20 @@ class Unrolled:
                 if note.signed.pitch not in PITCHES:
                     counts["outside"] += not note.tied
                     continue
-                now = passage.cut(note.signed)
-                if now is None:
+                signed = passage.cut(note.signed)
+                if signed is None:
                     continue
-                at, begun = tied.get((now.pitch, now.onset), (-1, passage))
-                goes_on = begun is passage or not passage.jumps  # to what follows on the sheet
-                is_led_to = at >= 0 and (note.tied or (goes_on and notes[at].voice == now.voice))
-                if is_led_to and not _is_struck(now, notes[at]):
-                    notes[at] = _joined(notes[at], now)
+                at, tied_passage = tied.get((signed.pitch, signed.onset), (-1, passage))
+                # Whether the next bar on the sheet follows.
+                goes_on = tied_passage is passage or not passage.jumps
+                is_led_to = at >= 0 and (note.tied or (goes_on and notes[at].voice == signed.voice))
+                if is_led_to and not _is_struck(signed, notes[at]):
+                    notes[at] = _joined(notes[at], signed)
                 else:
                     at = len(notes)
-                    notes.append(now)
+                    notes.append(signed)
                 if note.ties:
-                    tied[now.pitch, notes[at].end] = at, passage
+                    tied[signed.pitch, notes[at].end] = at, passage
             _check(len(notes), "notes")
         return notes
 
@@ -446,13 +449,13 @@ class Unrolled:
                 yield passage, mark, False
 
 
-def _is_struck(note: SignedNote, before: SignedNote) -> bool:
+def _is_struck(note: SignedNote, previous: SignedNote) -> bool:
     """Whether a note is struck, although a tie leads to it from the one before, for its signs."""
-    if before.grace:
+    if previous.grace:
         return False
-    kinds = [each.ornament and each.ornament.kind for each in (before, note)]
+    kinds = [each.ornament and each.ornament.kind for each in (previous, note)]
     is_new_ornament = kinds[1] is not None and kinds[0] is not kinds[1]
-    return is_new_ornament or (note.tremolo is not None and before.tremolo is None)
+    return is_new_ornament or (note.tremolo is not None and previous.tremolo is None)
 
 
 def _joined(note: SignedNote, following: SignedNote) -> SignedNote:
@@ -470,6 +473,6 @@ def _joined(note: SignedNote, following: SignedNote) -> SignedNote:
     )
 
 
-def _check(number: int, what: str) -> None:
+def _check(number: int, noun: str) -> None:
     if number > _MAX:
-        raise CadenzaError(f"over {_MAX} {what} with all repeats, too many")
+        raise CadenzaError(f"over {_MAX} {noun} with all repeats, too many")

@@ -86,34 +86,34 @@ class JumpReader:
         if element.get("location") == "middle":
             self._lines.add(placed.quarter)
         at = bar_at(self._bars, placed.measure, placed.quarter)
-        begun = min(at + is_end, len(self._bars) - 1)  # the bar that begins there
+        next_bar = min(at + is_end, len(self._bars) - 1)  # the bar that begins there
         bar = self._bars[at]
         if at and self._bars[at - 1].measure == bar.measure and placed.quarter == bar.begin:
             at -= 1  # at a repeat sign within a measure
         sounds = [element] if element.tag == "barline" else placed.all_sounds
         for sound in sounds:
-            _read_sound(sound, self._bars[at].signs, self._bars[begun].signs)
+            _read_sound(sound, self._bars[at].signs, self._bars[next_bar].signs)
             length, before = number(sound.get("fine")), self._note
             if length and before is not None and before.measure == placed.measure:
                 end = exact(before.quarter + length / before.divisions)
                 self._fines[at] = end
                 self._lines.add(end)
         if not any(sound.get(name) for sound in sounds for name in _SOUNDS):
-            self.read_text(_text(element), at, begun)
+            self.read_text(_text(element), at, next_bar)
         if self._bars[at].signs.fine:
             self._fines.setdefault(at, placed.quarter)
 
     def read_text(self, text: str, at: int, begun: int) -> None:
         signs = self._bars[at].signs
-        after = self._bars[min(at + 1, len(self._bars) - 1)].signs
+        next_signs = self._bars[min(at + 1, len(self._bars) - 1)].signs
         # Long words begin before the bar that they are for.
-        back = after if after.times > 1 and not after.begins_repeat else signs
+        back = next_signs if next_signs.times > 1 and not next_signs.begins_repeat else signs
         if self._is_jump(_DA_CAPO.search(text)):
             if _DAL_SEGNO.search(text):
                 back.dal_segno = back.dal_segno or _UNNAMED
-            named = [self._headings[w] for w in _WORD.findall(text) if w in self._headings]
-            if named:  # such as "Menuetto da capo"
-                goal = self._bars[named[0]].signs
+            headings = [self._headings[w] for w in _WORD.findall(text) if w in self._headings]
+            if headings:  # such as "Menuetto da capo"
+                goal = self._bars[headings[0]].signs
                 goal.segno = goal.segno or _HEADING
                 back.dal_segno = back.dal_segno or goal.segno
             back.da_capo = True
@@ -149,14 +149,14 @@ class JumpReader:
             if quarter in self._lines and self._bars[at].begin < quarter < self._bars[at].end:
                 self._bars[at].cut = quarter
         signs = [bar.signs for bar in self._bars]
-        is_known = ends = False  # whether there is a segno; and an end of what is repeated
+        has_segno = ends = False  # whether there is a segno; and an end of what is repeated
         last_jump = -1
         for at, each in enumerate(signs):
-            is_beside = is_known and each.dal_segno is not None  # the words that lead to another
+            is_beside = has_segno and each.dal_segno is not None  # the words that lead to another
             if at in self._segnos and each.segno is None and not is_beside:
                 each.segno = _UNNAMED
             each.fine |= at in self._trios and not ends  # da capo is up to the trio
-            is_known |= each.segno is not None
+            has_segno |= each.segno is not None
             ends = not each.returns and (ends or each.fine or each.to_coda is not None)
             last_jump = at if each.returns else last_jump
         for at, begun in self._codas:
@@ -168,18 +168,18 @@ class JumpReader:
                 signs[at].to_coda = _UNNAMED
 
 
-def _read_sound(sound: Element, here: Signs, begun: Signs) -> None:
-    here.da_capo |= sound.get("dacapo", "no") != "no"
-    here.fine |= sound.get("fine", "no") != "no"
+def _read_sound(sound: Element, signs: Signs, next_signs: Signs) -> None:
+    signs.da_capo |= sound.get("dacapo", "no") != "no"
+    signs.fine |= sound.get("fine", "no") != "no"
     if (passes := passes_of(sound)) and sound.get("tocoda"):
-        here.to_coda_on = passes
+        signs.to_coda_on = passes
     elif passes:
-        here.returns_on = passes
-    here.dal_segno = sound.get("dalsegno", here.dal_segno)
-    here.to_coda = sound.get("tocoda", here.to_coda)
-    begun.segno = sound.get("segno", begun.segno)
-    begun.coda = sound.get("coda", begun.coda)
-    begun.begins_repeat |= sound.get("forward-repeat", "no") == "yes"
+        signs.returns_on = passes
+    signs.dal_segno = sound.get("dalsegno", signs.dal_segno)
+    signs.to_coda = sound.get("tocoda", signs.to_coda)
+    next_signs.segno = sound.get("segno", next_signs.segno)
+    next_signs.coda = sound.get("coda", next_signs.coda)
+    next_signs.begins_repeat |= sound.get("forward-repeat", "no") == "yes"
 
 
 def _is_alone(match: re.Match[str] | None) -> bool:

@@ -79,8 +79,8 @@ class PartLoudness:
 
     def velocity(self, placed: Placed) -> int:
         """The velocity of a note: its own for playback, or as marks say; 0 if not heard."""
-        if (own := _percent(placed.element.get("dynamics"))) is not None:
-            return own
+        if (percent := _percent(placed.element.get("dynamics"))) is not None:
+            return percent
         first, loudness = self._loudness(placed.staff)
         if placed.quarter < first:
             _, loudness = self._loudness(_ANY)
@@ -89,8 +89,8 @@ class PartLoudness:
     def _loudness(self, staff: int | None) -> tuple[Fraction, Loudness]:
         """The place of the first mark of a staff, and what its marks say; with `_ANY`, of all."""
         if staff not in self._known:
-            heard = [*self._marks] if staff is _ANY else [_ANY, staff]
-            marks = [mark for of in heard for mark in self._marks.get(of, ())]
+            staves = [*self._marks] if staff is _ANY else [_ANY, staff]
+            marks = [mark for of in staves for mark in self._marks.get(of, ())]
             first = min((mark.onset for mark in marks), default=_NEVER)
             if self._plain:
                 marks = [mark for mark in marks if isinstance(mark, Dynamic)]
@@ -191,12 +191,12 @@ def pedal_moves(part: Iterable[Placed], begins: Sequence[Fraction], pedal: str) 
             for quarter, value in _values(placed, pedal, down):
                 moves.append(Move(placed.measure, min(max(quarter, begin), end), value))
     moves.sort(key=lambda move: move[:2])
-    again = [
+    lifts = [
         after._replace(value=_UP)
         for before, after in pairwise(moves)
         if before.value == after.value == _DOWN and before.quarter < after.quarter
     ]
-    return sorted([*again, *moves], key=lambda move: move[:2])
+    return sorted([*lifts, *moves], key=lambda move: move[:2])
 
 
 def has_soft_pedal(root: Element) -> bool:
@@ -227,19 +227,19 @@ def _values(
             signs += ((placed.sounds_at(), value) for value in _SIGNS.get(kind, ()))
         if kind == "stop" and others:
             others.pop()
-    given = [
+    own_values = [
         (placed.sounds_at(sound), value)
         for sound in placed.sounds
         if (value := _value(sound.get(pedal))) is not None
     ]
-    return [*signs[:-1], *given] if given else signs
+    return [*signs[:-1], *own_values] if own_values else signs
 
 
-def _value(given: str | None) -> int | None:
+def _value(text: str | None) -> int | None:
     """The value of a pedal for playback: yes, no, or in percent."""
-    if given is None:
+    if text is None:
         return None
-    percent = {"yes": 100, "no": 0}.get(given) if given in ("yes", "no") else number(given)
+    percent = {"yes": 100, "no": 0}.get(text) if text in ("yes", "no") else number(text)
     return round(_DOWN * min(max(percent or 0, 0), 100) / 100)
 
 
@@ -321,8 +321,8 @@ class TempoMarks:
                 self._counts["impossible"] += 1
         for metronome in element.iterfind("direction-type/metronome"):
             mark, place = _Metronome(metronome), placed.sounds_at()
-            if (shown := mark.quarters_a_minute) is not None:
-                self._metronome[place] = shown
+            if (tempo := mark.quarters_a_minute) is not None:
+                self._metronome[place] = tempo
             elif mark.swing is not None:
                 self._swing(placed, *mark.swing, mark.before[0])
             elif mark.slower is not None:
@@ -335,9 +335,9 @@ class TempoMarks:
                 shares = (int(number(sign.findtext(tag))) for tag in ("first", "second"))
                 first, second = (min(max(each, 1), _MAX_SWING) for each in shares)
                 self._swing(placed, first, second, unit)
-        every = [words.text or "" for words in element.iterfind("direction-type/words")]
-        if is_of_tempo(said := printable(" ".join(every))):
-            self.words[placed.quarter] = said
+        texts = [words.text or "" for words in element.iterfind("direction-type/words")]
+        if is_of_tempo(words_of_tempo := printable(" ".join(texts))):
+            self.words[placed.quarter] = words_of_tempo
         for words in placed.element.iterfind("direction-type/words"):
             text = words.text or ""
             if not tempos and (change := tempo_change(text)):

@@ -110,7 +110,7 @@ def notes_of(
         plain: whether notes are without their signs, as they stand.
         counts: the numbers of notes that are left out or changed, by what they are.
     """
-    written = [placed for placed in part if placed.element.tag == "note"]
+    note_elements = [placed for placed in part if placed.element.tag == "note"]
     loudness = PartLoudness(part, plain)
     key = attribute(part, "key", lambda each: int(number(each.findtext("fifths"))), 0)
     transposition = attribute(part, "transpose", _transposition, _Transposition())
@@ -118,16 +118,16 @@ def notes_of(
         part, "staff-details[staff-type]", lambda e: e.findtext("staff-type", "").strip(), ""
     )
     slash = attribute(part, "measure-style[slash]", lambda e: e.find("slash[@type='start']"), None)
-    others = [kind(placed) in _OTHER_STAVES for placed in written]
-    graces, hand_of = _graces(written), _hands_of(part, others)
+    is_on_other_staff = [kind(placed) in _OTHER_STAVES for placed in note_elements]
+    graces, hand_of = _graces(note_elements), _hands_of(part, is_on_other_staff)
     notes: list[SheetNote] = []
-    for index, placed in enumerate(written):
+    for index, placed in enumerate(note_elements):
         note, hand, grace = placed.element, hand_of[index], graces.get(index)
         if note.find("cue") is not None or note.find("rest") is not None:
             continue
         is_slash = note.findtext("notehead", "").strip() == "slash" or slash(placed) is not None
         velocity = loudness.velocity(placed)
-        why = "other staff" if others[index] else silence(placed)
+        why = "other staff" if is_on_other_staff[index] else silence(placed)
         why = why or ("slash" if is_slash else "" if velocity else "silent")
         if why:
             counts[why] += 1
@@ -182,8 +182,8 @@ def _written_pitch(note: Element, counts: Counter[str]) -> tuple[int, int] | Non
 
 def _natural(step: int) -> int:
     """The MIDI pitch of a white key, C0 being 0."""
-    octave, within = divmod(step, len(STEPS))
-    return NATURALS[within] + OCTAVE * (octave + 1)
+    octave, degree = divmod(step, len(STEPS))
+    return NATURALS[degree] + OCTAVE * (octave + 1)
 
 
 def _transposition(transpose: Element) -> _Transposition:
@@ -206,15 +206,15 @@ def _graces(notes: Sequence[Placed]) -> dict[int, Grace]:
             measure = placed.measure
             waiting.clear()
         grace, is_chord = note.find("grace"), note.find("chord") is not None
-        before = waiting[placed.voice]
+        earlier = waiting[placed.voice]
         if grace is not None:
-            index = graces[before[-1]].index + (not is_chord) if before else 0
+            index = graces[earlier[-1]].index + (not is_chord) if earlier else 0
             graces[i] = _grace(grace, index, placed)
-            before.append(i)
+            earlier.append(i)
         elif not is_chord:
-            for each in before if note.find("rest") is None else ():
+            for each in earlier if note.find("rest") is None else ():
                 graces[each] = replace(graces[each], after=False)
-            before.clear()
+            earlier.clear()
     return graces
 
 
@@ -222,8 +222,8 @@ def _grace(grace: Element, index: int, placed: Placed) -> Grace:
     """A grace note that leads to no note yet."""
     shares = [grace.get(f"steal-time-{where}") for where in ("previous", "following")]
     previous, following = (None if each is None else float(number(each)) / 100 for each in shares)
-    made = grace.get("make-time")
-    takes = None if made is None else exact(number(made) / placed.divisions)
+    make_time = grace.get("make-time")
+    takes = None if make_time is None else exact(number(make_time) / placed.divisions)
     return Grace(index, grace.get("slash") == "yes", previous, following, takes, after=True)
 
 
@@ -259,16 +259,16 @@ class _Run:
     sounds: bool = False
 
 
-def _hands_of(part: Sequence[Placed], others: Sequence[bool]) -> list[int | None]:
+def _hands_of(part: Sequence[Placed], is_on_other_staff: Sequence[bool]) -> list[int | None]:
     """The hands that play the notes and rests of a part, in their order; None where nobody knows.
 
     The upper staff is the right hand's. A voice that goes to the other staff stays with the hand of
     the staff where it began, unless in a bar it begins on the other while others are on its own.
-    `others` are on a staff that is not played, such as an ossia.
+    `is_on_other_staff` marks notes on a staff that is not played, such as an ossia.
     """
     notes = [placed for placed in part if placed.element.tag == "note"]
-    played = [(i, note) for i, note in enumerate(notes) if not others[i]]
-    staves = {note.staff or 1 for _, note in played}
+    played_notes = [(i, note) for i, note in enumerate(notes) if not is_on_other_staff[i]]
+    staves = {note.staff or 1 for _, note in played_notes}
     if len(staves) < _STAVES:
         declared = max((number(each.element.findtext("staves")) for each in part), default=ZERO)
         silent = {note.staff or 1 for note in notes} - staves
@@ -277,12 +277,12 @@ def _hands_of(part: Sequence[Placed], others: Sequence[bool]) -> list[int | None
     if len(staves) != _STAVES:
         return hands
     home: dict[str, int] = {}  # the staff on which a voice began
-    for _, bar in groupby(played, key=lambda each: each[1].measure):
+    for _, bar in groupby(played_notes, key=lambda each: each[1].measure):
         runs = _runs(bar)
         busy = {run.staff for run in runs if run.sounds}
         for run in runs:
-            own = home.setdefault(run.voice, run.staff)
-            hand = int((run.staff if own in busy else own) == max(staves))
+            first_staff = home.setdefault(run.voice, run.staff)
+            hand = int((run.staff if first_staff in busy else first_staff) == max(staves))
             for index in run.indices:
                 hands[index] = hand
     return hands

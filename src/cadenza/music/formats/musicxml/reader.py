@@ -79,20 +79,20 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     bars = bars_of(longest, begins)
     read_jumps(placed, bars, begins)
     sheet, tempo_marks = Unrolled(bars), TempoMarks(placed, begins, counts)
-    every = list(_parts(root, placed, begins, plain, counts))
+    all_parts = list(_parts(root, placed, begins, plain, counts))
     remarks = tuple(_remarks(root, counts, bars, sheet.passages))
-    listed = tuple(part.track for part in every)
+    listed = tuple(part.track for part in all_parts)
     check_chosen(tracks, listed)
     if tracks:
         counts["drums"] = 0
-    parts = [part for part in every if not tracks or part.track.number in tracks]
+    parts = [part for part in all_parts if not tracks or part.track.number in tracks]
 
     marks = filter(says_tempo, tempo_marks.marks) if plain else tempo_marks.marks
     tempo = TempoMap.of(marks, begins[-1]).played(sheet.sections())
     swings = sheet.swings(() if plain else tempo_marks.swings)
     notes = _notes(parts, sheet, tempo, swings, counts)
     begin = min([0.0, *(note.start for note in notes)])  # grace notes before the first beat
-    played, remarks = repaired_notes(notes, counts, remarks, lambda time: time - begin)
+    score_notes, remarks = repaired_notes(notes, counts, remarks, lambda time: time - begin)
     pedals = (
         (place, part.track.number, value)
         for part in parts
@@ -100,17 +100,17 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     )
     pedal = _timed(merged_pedal(sorted(pedals, key=itemgetter(0))), tempo)
     moves = (PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
-    timed = (
+    score_bars = (
         bar.moved(lambda time: time - begin)
         for bar in _bars(sheet.passages, tempo, tempo_marks.words)
     )
-    title, composer = _said(root, _TITLES) or title, _said(root, _COMPOSERS)
-    return Score(played, tuple(moves), title, remarks, listed, tuple(timed), composer)
+    title, composer = _first_text(root, _TITLES) or title, _first_text(root, _COMPOSERS)
+    return Score(score_notes, tuple(moves), title, remarks, listed, tuple(score_bars), composer)
 
 
-def _said(root: Element, places: Iterable[str]) -> str:
-    """What a document says in the first of some places where it says anything."""
-    return next((text for each in places if (text := printable(root.findtext(each, "")))), "")
+def _first_text(root: Element, places: Iterable[str]) -> str:
+    """The first text in some places of a document; empty if there is none."""
+    return next((text for place in places if (text := printable(root.findtext(place, "")))), "")
 
 
 def _notes(
@@ -157,9 +157,9 @@ def _hold(notes: Iterable[RawNote], moves: Sequence[tuple[float, int]]) -> None:
     down = [time for time, value in moves if value]
     up = [time for time, value in moves if not value]
     for note in notes if down else ():
-        before = bisect_left(down, note.end) - 1
-        if before >= 0 and down[before] >= note.start:
-            end = bisect_right(up, down[before])
+        index = bisect_left(down, note.end) - 1
+        if index >= 0 and down[index] >= note.start:
+            end = bisect_right(up, down[index])
             note.end = max(note.end, up[end] if end < len(up) else note.end)
 
 
@@ -170,11 +170,13 @@ def _bars(
     places_of_words = sorted(words)
     for passage in passages:
         bar, later = passage.bar, passage.later
-        said = slice(bisect_left(places_of_words, bar.begin), bisect_left(places_of_words, bar.end))
-        texts = [words[place] for place in places_of_words[said]]
-        places = [place + later for place in (bar.begin, *bar.beats, *places_of_words[said])]
-        begin, *others = np.round(tempo.onsets(places), _DECIMALS).tolist()
-        beats, times = others[: len(bar.beats)], others[len(bar.beats) :]
+        in_bar = slice(
+            bisect_left(places_of_words, bar.begin), bisect_left(places_of_words, bar.end)
+        )
+        texts = [words[place] for place in places_of_words[in_bar]]
+        places = [place + later for place in (bar.begin, *bar.beats, *places_of_words[in_bar])]
+        begin, *seconds = np.round(tempo.onsets(places), _DECIMALS).tolist()
+        beats, times = seconds[: len(bar.beats)], seconds[len(bar.beats) :]
         timed = tuple(zip(times, texts, strict=True))
         yield Bar(begin, bar.number, tuple(beats), bar.beat_type, bar.key, timed)
 
@@ -258,8 +260,8 @@ def _listed(root: Element, parts: Iterable[Element]) -> list[Element]:
         entries[entry.get("id", "")].append(entry)
     entries_of_parts = []
     for part in parts:
-        same = entries[part.get("id", "")]
-        entries_of_parts.append(same.pop(0) if same else Element("score-part"))
+        matches = entries[part.get("id", "")]
+        entries_of_parts.append(matches.pop(0) if matches else Element("score-part"))
     return entries_of_parts
 
 
@@ -296,7 +298,7 @@ def _silence(listed: Element, part: Element, elements: Iterable[Placed]) -> Call
         if is_ossia:
             return "other staff"
         changes = volumes.get(name, [])
-        begun = bisect_right(changes, placed.quarter, key=itemgetter(0))
-        return "silent" if begun and changes[begun - 1][1] == 0 else ""
+        count = bisect_right(changes, placed.quarter, key=itemgetter(0))
+        return "silent" if count and changes[count - 1][1] == 0 else ""
 
     return silence

@@ -98,11 +98,11 @@ def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fractio
     lengths: list[tuple[int, Fraction]] = []
     placed: list[list[Placed]] = []
     for part in parts:
-        elements, own_lengths = _placed(part)
+        elements, part_lengths = _placed(part)
         placed.append(elements)
-        for measure, length in enumerate(own_lengths[: len(lengths)]):
+        for measure, length in enumerate(part_lengths[: len(lengths)]):
             lengths[measure] = max(lengths[measure], length)
-        lengths += own_lengths[len(lengths) :]
+        lengths += part_lengths[len(lengths) :]
     measures = (each for _, each in lengths)
     begins = [*accumulate(measures, lambda end, each: exact(end + each), initial=ZERO)]
     moved = [
@@ -113,18 +113,18 @@ def timeline(parts: Sequence[Element]) -> tuple[list[list[Placed]], list[Fractio
 
 
 def _placed(part: Element) -> tuple[list[Placed], list[tuple[int, Fraction]]]:
-    """The elements of a part, with times since the beginnings of measures, and their lengths.
+    """The elements of a part, by times in their measures, and the measures' weights and lengths.
 
-    Before each length stands how much it counts where other parts have others: most where notes
-    fill the bar as its metre says, not at all for rests in a bar that is not to be full, and for a
-    measure without contents, which is as long as its metre. Rests do not make a bar longer than its
-    metre.
+    If parts have measures of different lengths, the greatest weight counts: 2 for notes that fill
+    the metre, 1 for other notes and for rests in a complete measure, 0 for rests in a measure that
+    is marked as incomplete, and for an empty measure, which has the length of its metre. Rests do
+    not make a measure longer than its metre.
     """
     placed: list[Placed] = []
     lengths: list[tuple[int, Fraction]] = []
     divisions, metre, is_measured = Fraction(1), _WHOLE, False
     for measure, elements in enumerate(part.iterfind("measure")):
-        now = begun = length = sounding = ZERO
+        position = chord_onset = length = end_of_notes = ZERO
         is_empty = True
         voice = _FIRST_VOICE
         placed.append(Placed(measure, ZERO, elements, divisions, voice))
@@ -136,19 +136,19 @@ def _placed(part: Element) -> tuple[list[Placed], list[tuple[int, Fraction]]]:
             is_chord = element.tag == "note" and element.find("chord") is not None
             if element.tag == "note":
                 voice = element.findtext("voice", voice if is_chord else _FIRST_VOICE)
-            item = Placed(measure, begun if is_chord else now, element, divisions, voice)
+            item = Placed(measure, chord_onset if is_chord else position, element, divisions, voice)
             if element.tag in ("note", "forward") and not is_chord:
-                begun, now, is_empty = now, exact(now + item.duration), False
+                chord_onset, position, is_empty = position, exact(position + item.duration), False
                 if element.tag == "note" and element.find("rest") is None:
-                    sounding = max(sounding, now)
+                    end_of_notes = max(end_of_notes, position)
             elif element.tag == "backup":
-                now = max(ZERO, exact(now - item.duration))
-            length = max(length, now)
+                position = max(ZERO, exact(position - item.duration))
+            length = max(length, position)
             placed.append(item)
-        if is_measured and sounding <= metre:
+        if is_measured and end_of_notes <= metre:
             length = min(length, metre)
-        counts = sounding > 0 or elements.get("implicit") != "yes"
-        fills = sounding > 0 and length == metre
+        counts = end_of_notes > 0 or elements.get("implicit") != "yes"
+        fills = end_of_notes > 0 and length == metre
         lengths.append((0, metre) if is_empty else (counts + fills, length))
     return placed, lengths
 
@@ -156,7 +156,7 @@ def _placed(part: Element) -> tuple[list[Placed], list[tuple[int, Fraction]]]:
 def attribute(
     part: Iterable[Placed], tag: str, value: Callable[[Element], _T], before: _T
 ) -> Callable[[Placed], _T]:
-    """A function from an element of a part to what an attribute such as the key says there.
+    """A function from an element of a part to the value of an attribute there, such as the key.
 
     Args:
         part: the elements of the part.
@@ -169,12 +169,14 @@ def attribute(
         if placed.element.tag == "attributes":
             for each in placed.element.iterfind(tag):
                 marks[_staff(each.get("number"))].append((placed.quarter, value(each)))
-    held = {staff: sorted(marks[staff] + marks[0], key=itemgetter(0)) for staff in [0, *marks]}
+    marks_of_staves = {
+        staff: sorted(marks[staff] + marks[0], key=itemgetter(0)) for staff in [0, *marks]
+    }
 
     def at(placed: Placed) -> _T:
-        own = held.get(placed.staff or 1, held[0])
-        begun = bisect_right(own, placed.quarter, key=itemgetter(0))
-        return own[begun - 1][1] if begun else before
+        staff_marks = marks_of_staves.get(placed.staff or 1, marks_of_staves[0])
+        count = bisect_right(staff_marks, placed.quarter, key=itemgetter(0))
+        return staff_marks[count - 1][1] if count else before
 
     return at
 
@@ -184,25 +186,25 @@ def ends_of_lines(part: Iterable[Placed]) -> Callable[[Placed], Fraction | None]
 
     The line begins in the direction itself or in another one at its place; None without one.
     """
-    begun: dict[tuple[Fraction, int | None], tuple[str, str]] = {}  # tags and numbers of lines
+    line_at: dict[tuple[Fraction, int | None], tuple[str, str]] = {}  # tags and numbers of lines
     ends: defaultdict[tuple[str, str], list[Fraction]] = defaultdict(list)
     for placed in part:
         for line in _lines(placed):
             name = line.tag, line.get("number", "1")
             if line.get("type") == "start":
-                begun[placed.quarter, placed.staff] = name
+                line_at[placed.quarter, placed.staff] = name
             elif line.get("type") == "stop":
                 ends[name].append(placed.sounds_at())
     for places in ends.values():
         places.sort()
 
     def end(placed: Placed) -> Fraction | None:
-        own = (line for line in _lines(placed) if line.get("type") == "start")
-        name = next(((line.tag, line.get("number", "1")) for line in own), None)
-        name = name or begun.get((placed.quarter, placed.staff))
+        starts = (line for line in _lines(placed) if line.get("type") == "start")
+        name = next(((line.tag, line.get("number", "1")) for line in starts), None)
+        name = name or line_at.get((placed.quarter, placed.staff))
         places = ends.get(name, []) if name else []
-        after = bisect_right(places, placed.sounds_at())
-        return places[after] if after < len(places) else None
+        index = bisect_right(places, placed.sounds_at())
+        return places[index] if index < len(places) else None
 
     return end
 

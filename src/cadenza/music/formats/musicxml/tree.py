@@ -151,10 +151,10 @@ def _name_of_document(archive: ZipFile) -> str:
     """The first document in the table of contents; without one, the only one but for macOS's."""
     names = [name for name in archive.namelist() if not _FROM_MACOS.search(name)]
     if _CONTENTS in names:
-        there = {_plain(name): name for name in names}
+        names_by_plain = {_plain(name): name for name in names}
         contents = _Tree().root_of(_decoded(unpacked(archive, _CONTENTS, _MAX_CONTENTS)))
         listed = [_plain(each.get("full-path", "")) for each in contents.iter("rootfile")]
-        documents = [there[name] for name in listed if name in there]
+        documents = [names_by_plain[name] for name in listed if name in names_by_plain]
         if documents:
             return min(documents, key=lambda name: not name.lower().endswith(_ENDINGS))
     documents = [n for n in names if n.lower().endswith(_ENDINGS) and not n.endswith(_CONTENTS)]
