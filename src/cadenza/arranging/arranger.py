@@ -71,8 +71,8 @@ class Arranger:
         struck, early_ends = reduced(moments, self._hands, cost)
         fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
         if dropped:
-            left_out = {(note.start, note.pitch) for note, _ in dropped}
-            struck = [each for each in struck if (each.start, each.pitch) not in left_out]
+            omitted = {(note.start, note.pitch) for note, _ in dropped}
+            struck = [each for each in struck if (each.start, each.pitch) not in omitted]
             fingered, _ = find_fingering(_score(score, struck, early_ends), self._players)
         return struck, fingered
 
@@ -91,17 +91,17 @@ def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[Held]) -
         velocity = max(round(softer * source.velocity), 1)
         end = max(end, each.start + SHORTEST)
         note = Note(each.start, end, each.pitch, velocity, hands=source.hands)
-        same = by_pitch.setdefault(each.pitch, [])
-        if same:
-            same[-1] = _lifted(same[-1], note.start)
-        same.append(note)
+        same_pitch = by_pitch.setdefault(each.pitch, [])
+        if same_pitch:
+            same_pitch[-1] = _lifted(same_pitch[-1], note.start)
+        same_pitch.append(note)
     return replace(score, notes=tuple(note for notes in by_pitch.values() for note in notes))
 
 
-def _lifted(note: Note, again: float) -> Note:
+def _lifted(note: Note, time: float) -> Note:
     """A note that ends early enough to be struck again at a time [s]."""
-    lift = min(_LIFT, _LIFT_SHARE * (again - note.start))
-    return replace(note, end=min(note.end, again - lift))
+    lift = min(_LIFT, _LIFT_SHARE * (time - note.start))
+    return replace(note, end=min(note.end, time - lift))
 
 
 _RISE = 0.05  # [s] in which a finger gets off its key
@@ -117,10 +117,12 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
     """
     notes = list(score.notes)
     for hand in range(len(SIDES)):
-        own = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
-        struck = list(chords(own, TOGETHER, lambda i: notes[i].start))
+        own_notes = [
+            i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand
+        ]
+        struck = list(chords(own_notes, TOGETHER, lambda i: notes[i].start))
         _end_for_jumps(notes, struck, hand, players, times)
-        _end_for_other_keys(notes, own, times)
+        _end_for_other_keys(notes, own_notes, times)
     return replace(score, notes=tuple(notes))
 
 
@@ -155,13 +157,13 @@ def _end_for_jumps(
                 _end(notes, i, begins - jump - _SPARE)
 
 
-def _end_for_other_keys(notes: list[Note], own: Sequence[int], times: JumpTimes) -> None:
+def _end_for_other_keys(notes: list[Note], own_notes: Sequence[int], times: JumpTimes) -> None:
     """End notes whose finger presses another key next."""
     latest: dict[int, int] = {}
-    for i in own:
+    for i in own_notes:
         finger = _index(notes[i].finger)
-        if (before := latest.get(finger)) is not None and notes[before].pitch != notes[i].pitch:
-            _end(notes, before, notes[i].start - times.next_key - _SPARE)
+        if (previous := latest.get(finger)) is not None and notes[previous].pitch != notes[i].pitch:
+            _end(notes, previous, notes[i].start - times.next_key - _SPARE)
         latest[finger] = i
 
 

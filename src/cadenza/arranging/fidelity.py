@@ -78,16 +78,16 @@ def _whole(share: float) -> str:
 def fates_of(song: Sequence[SourceNote], struck: Iterable[Struck]) -> tuple[Fate, ...]:
     """What became of each note of a song, and the notes that were struck again, by their start."""
     played = {each.source: each.pitch for each in struck}
-    again = [source for source in played if source.added]
-    notes = sorted((*song, *again), key=lambda note: (note.start, note.pitch))
+    added = [source for source in played if source.added]
+    notes = sorted((*song, *added), key=lambda note: (note.start, note.pitch))
     return tuple(Fate(note, played.get(note)) for note in notes)
 
 
 def fidelity_of(fates: Sequence[Fate], arranged: Score, beats: Sequence[float]) -> Fidelity:
     """Compare an arrangement with the song, whose beats begin at these times [s]."""
     song = [fate for fate in fates if not fate.note.added]
-    written = [fate.note for fate in song]
-    sounding, played = pitch_classes(written, beats), pitch_classes(arranged.notes, beats)
+    song_notes = [fate.note for fate in song]
+    sounding, played = pitch_classes(song_notes, beats), pitch_classes(arranged.notes, beats)
     return Fidelity(
         melody_kept=_share(fate for fate in song if fate.note.melody),
         bass_kept=_share(fate for fate in song if fate.note.bass),

@@ -128,10 +128,10 @@ def _excess(share: float) -> float:
     return max(share - _MUCH, 0.0) / (1 - _MUCH)
 
 
-def _near(times: Array, others: Array, seconds: float) -> NDArray[np.bool_]:
-    """(N,) whether each of these times is near any of the others, which are in order."""
-    after = np.minimum(np.searchsorted(others, times - seconds), len(others) - 1)
-    return np.abs(others[after] - times) <= seconds
+def _near(times: Array, sorted_times: Array, seconds: float) -> NDArray[np.bool_]:
+    """Whether each of some times (N,) is near any of the `sorted_times`."""
+    index = np.minimum(np.searchsorted(sorted_times, times - seconds), len(sorted_times) - 1)
+    return np.abs(sorted_times[index] - times) <= seconds
 
 
 def _repeated(start: Array, bars: Array) -> Array:
@@ -139,5 +139,5 @@ def _repeated(start: Array, bars: Array) -> Array:
     if len(bars) < 2:
         return np.zeros(len(start))
     bar = np.clip(np.searchsorted(bars, start + CHORD_TOLERANCE, side="right") - 1, 1, None)
-    before = start - (bars[bar] - bars[bar - 1])
-    return _near(before, start, CHORD_TOLERANCE).astype(float)
+    previous = start - (bars[bar] - bars[bar - 1])
+    return _near(previous, start, CHORD_TOLERANCE).astype(float)

@@ -114,20 +114,20 @@ def _merged(sources: Iterable[SourceNote]) -> list[SourceNote]:
     """The notes, one at a time on each key; see `sources_of`."""
     by_pitch: dict[int, list[SourceNote]] = {}
     for note in sorted(sources, key=lambda n: (n.start, not n.melody, not n.bass)):
-        same = by_pitch.setdefault(note.pitch, [])
-        if not same:
-            same.append(note)
+        same_pitch = by_pitch.setdefault(note.pitch, [])
+        if not same_pitch:
+            same_pitch.append(note)
             continue
-        before = same[-1]
-        end = max(before.end, note.end)
-        if note.start <= before.start + TOGETHER:  # in unison
-            melody, bass = before.melody or note.melody, before.bass or note.bass
-            same[-1] = before._replace(end=end, melody=melody, bass=bass and not melody)
-        elif before.melody and not note.melody and note.start <= before.end:
-            same[-1] = before._replace(end=end)
+        previous = same_pitch[-1]
+        end = max(previous.end, note.end)
+        if note.start <= previous.start + TOGETHER:  # in unison
+            melody, bass = previous.melody or note.melody, previous.bass or note.bass
+            same_pitch[-1] = previous._replace(end=end, melody=melody, bass=bass and not melody)
+        elif previous.melody and not note.melody and note.start <= previous.end:
+            same_pitch[-1] = previous._replace(end=end)
         else:
-            same[-1] = before._replace(end=min(before.end, note.start))
-            same.append(note)
+            same_pitch[-1] = previous._replace(end=min(previous.end, note.start))
+            same_pitch.append(note)
     return [note for notes in by_pitch.values() for note in notes]
 
 
@@ -174,15 +174,15 @@ def _activity(parts: Sequence[_InstrumentPart], edges: Sequence[float]) -> Array
     """(P, S) twice the share of each stretch in which each part sounds, at most 1."""
     last = max(note.end for part in parts for note in part.notes)
     bounds = np.array([*edges, max(last, edges[-1] + _STRETCH)])
-    sounding = np.zeros((len(parts), len(edges)))
-    for row, part in zip(sounding, parts, strict=True):
+    activity = np.zeros((len(parts), len(edges)))
+    for row, part in zip(activity, parts, strict=True):
         for note in part.notes:
             first = max(bisect_right(edges, note.start + CHORD_TOLERANCE) - 1, 0)
             end = max(bisect_right(edges, note.end - CHORD_TOLERANCE), first + 1)
             inside = slice(first, end)
             begin, stop = bounds[first:end], bounds[first + 1 : end + 1]
             row[inside] += np.maximum(np.minimum(note.end, stop) - np.maximum(note.start, begin), 0)
-    return np.minimum(2 * sounding / np.diff(bounds), 1.0)
+    return np.minimum(2 * activity / np.diff(bounds), 1.0)
 
 
 def _best_parts(likeness: Array) -> list[int]:

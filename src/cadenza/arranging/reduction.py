@@ -165,9 +165,9 @@ def reduced(
     """
     beam = [ReductionState(0.0, (Grip(), Grip()), frozenset(), (), None)]
     for moment in moments:
-        successors = [after for state in beam for after in _successors(state, moment, hands, cost)]
+        successors = [new for state in beam for new in _successors(state, moment, hands, cost)]
         best: dict[tuple[object, ...], ReductionState] = {}
-        for state in nsmallest(4 * _BEAM, successors, key=lambda each: each.cost):
+        for state in nsmallest(4 * _BEAM, successors, key=lambda option: option.cost):
             best.setdefault((state.hands, state.classes), state)
         beam = list(best.values())[:_BEAM]
     actions: list[Action] = []
@@ -175,8 +175,8 @@ def reduced(
     while last is not None:
         actions += last.actions
         last = last.before
-    struck = (each for action in reversed(actions) for each in action.struck)
-    return list(_again(struck)), [each for action in actions for each in action.early_ends]
+    struck = (note for action in reversed(actions) for note in action.struck)
+    return list(_again(struck)), [end for action in actions for end in action.early_ends]
 
 
 def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
@@ -197,9 +197,9 @@ def _successors(
     """Yield the states after a moment, by what each hand strikes."""
     classes = state.classes
     if moment.begins_beat:
-        sounding = (held for hand in state.hands for held in hand.still_held(moment.time))
-        lasting = (held for held in sounding if not _has_died_away(held, moment.time))
-        classes = frozenset(held.pitch % OCTAVE for held in lasting)
+        held_keys = (held for hand in state.hands for held in hand.still_held(moment.time))
+        audible = (held for held in held_keys if not _has_died_away(held, moment.time))
+        classes = frozenset(held.pitch % OCTAVE for held in audible)
     actions = [
         list(_HandAtMoment(hand, state.hands[hand], moment, hands[hand], classes).actions())
         for hand in (RIGHT, LEFT)
@@ -207,12 +207,12 @@ def _successors(
     for right, left in product(*actions):
         if _collide(right, left):
             continue
-        now, value = classes, 0.0
+        present, value = classes, 0.0
         for struck in (*right.struck, *left.struck):
-            value += _value(struck, now, cost)
-            now |= {struck.pitch % OCTAVE}
+            value += _value(struck, present, cost)
+            present |= {struck.pitch % OCTAVE}
         total = state.cost - value + right.cost + left.cost
-        yield ReductionState(total, (right.hand, left.hand), now, (right, left), state)
+        yield ReductionState(total, (right.hand, left.hand), present, (right, left), state)
 
 
 def _collide(right: Action, left: Action) -> bool:
@@ -319,14 +319,14 @@ class _HandAtMoment:
         time, before = self._moment.time, self._before
         pitches = tuple(sorted(each.pitch for each in struck))
         kept = self._kept(pitches)
-        since, jump = time - before.time, 0.0
+        elapsed, jump = time - before.time, 0.0
         if before.struck:
             jump = self._one.jump_time(before.struck, pitches, bool(kept))
-            repeats = since < _FASTEST_REPETITION and not set(before.struck).isdisjoint(pitches)
-            if repeats or jump > since - _MIN_HELD:
+            repeats = elapsed < _FASTEST_REPETITION and not set(before.struck).isdisjoint(pitches)
+            if repeats or jump > elapsed - _MIN_HELD:
                 return None
-        cost = _HASTE * (jump / since) ** 2
-        cost += _BUSY_COST * (len(struck) - 1) * min(_BUSY / since, 1.0)
+        cost = _HASTE * (jump / elapsed) ** 2
+        cost += _BUSY_COST * (len(struck) - 1) * min(_BUSY / elapsed, 1.0)
         early = list(self._left_early(kept, time - jump))
         cost += sum(self._early_cost(held, end) for held, end in early)
         early_ends = tuple(held._replace(end=end) for held, end in early)

@@ -132,9 +132,9 @@ def _faults(hand: Hand) -> Iterator[str]:
     parents = {link.name: link.parent for link in hand.body.links}
     for finger in hand.fingers:
         yield from _faults_of_finger(finger, hand.fingers[0], parents)
-    for name, given in vars(hand.reach).items():
+    for name, value in vars(hand.reach).items():
         shape = (count, count) if name in ("least", "most") else (count,)
-        if np.ndim(given) and (not isinstance(given, np.ndarray) or given.shape != shape):
+        if np.ndim(value) and (not isinstance(value, np.ndarray) or value.shape != shape):
             yield f"reach.{name}: give an array of NumPy of shape {shape}"
     yield from _unknown("kept_apart", "link", hand.kept_apart, parents)
     yield from _faults_of_servos(hand)
@@ -182,10 +182,10 @@ def _faults_of_finger(
             f"finger {finger.name} has {len(finger.links)} links and {thumb.name} "
             f"{len(thumb.links)}; give as many for every finger"
         )
-    for before, after in pairwise(finger.links):
-        if before not in _ancestors(after, parents):
+    for link, next_link in pairwise(finger.links):
+        if link not in _ancestors(next_link, parents):
             yield (
-                f"finger {finger.name}: link {after} does not hang from {before}; "
+                f"finger {finger.name}: link {next_link} does not hang from {link}; "
                 "name the link nearest to the palm first"
             )
     if len(finger.radii) != len(finger.links):
@@ -219,13 +219,13 @@ def _faults_of_body(body: Body) -> Iterator[str]:
     for joint, leader in followers.items():
         if joint in moved or leader not in moved:
             yield f"joint {joint} follows {leader}: {leader} needs an actuator, {joint} has none"
-    known = {*joints, *(coupling.name for coupling in body.couplings)}
-    yield from _unknown("actuators", "joint or coupling", targets, known)
+    valid_names = {*joints, *(coupling.name for coupling in body.couplings)}
+    yield from _unknown("actuators", "joint or coupling", targets, valid_names)
     yield from _unknown("excluded", "link", chain.from_iterable(body.excluded), links)
     yield from _unknown("locked", "joint", body.locked, joints)
     yield from _unknown("reduced_ranges", "joint", body.reduced_ranges, joints)
 
 
-def _unknown(of: str, kind: str, names: Iterable[str], known: Collection[str]) -> Iterator[str]:
-    if missing := sorted(set(names).difference(known)):
+def _unknown(of: str, kind: str, names: Iterable[str], valid: Collection[str]) -> Iterator[str]:
+    if missing := sorted(set(names).difference(valid)):
         yield f"{of}: there is no {kind} {quoted(missing[0])}"

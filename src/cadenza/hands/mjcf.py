@@ -273,17 +273,17 @@ class HandFile:
 
     def _id(self, of: str, kind: mujoco.mjtObj, name: str) -> int:
         """The id of what a name of the TOML stands for."""
-        found = int(mujoco.mj_name2id(self._model, kind, name))
-        if found < 0:
-            what = kind.name.removeprefix("mjOBJ_").lower()
-            ids = range(self._model.nbody if what == "body" else self._model.njnt)
+        id_ = int(mujoco.mj_name2id(self._model, kind, name))
+        if id_ < 0:
+            noun = kind.name.removeprefix("mjOBJ_").lower()
+            ids = range(self._model.nbody if noun == "body" else self._model.njnt)
             names = [mujoco.mj_id2name(self._model, kind, each) or "" for each in ids]
             close = get_close_matches(name, names, n=1)
             raise self.error(
-                f"{of}: no {what} of {self.description.file} is named {quoted(name)}"
+                f"{of}: no {noun} of {self.description.file} is named {quoted(name)}"
                 f"{f'; did you mean {close[0]}?' if close else ''}"
             )
-        return found
+        return id_
 
     def _line(self, body: int) -> list[int]:
         """A body and all that it hangs from."""
@@ -347,8 +347,8 @@ class HandFile:
 
     def _tip(self, finger: str) -> tuple[int, Array, float]:
         """The last body of a finger, and the centre of its tip [m] and its radius [m]."""
-        given = self.description.fingers[finger]
-        tip = Tip(given) if isinstance(given, str) else given
+        description = self.description.fingers[finger]
+        tip = Tip(description) if isinstance(description, str) else description
         site = int(mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, tip.tip))
         if site >= 0 and tip.at is None:
             body, centre = int(self._model.site_bodyid[site]), self._data.site_xpos[site]
@@ -404,21 +404,21 @@ class HandFile:
             given.add(names[joint])
             yield Follower(names[joint], names[leader], float(ratio))
         is_length = (model.eq_type == mujoco.mjtEq.mjEQ_TENDON) & (model.eq_obj2id < 0)
-        held = set(model.eq_obj1id[is_length].tolist())  # the tendons whose length is fixed
+        fixed_tendons = set(model.eq_obj1id[is_length].tolist())
         for tendon in range(model.ntendon):
             joints, shares = self._wrapped(tendon)
-            slack = 0.0 if tendon in held else np.ptp(model.tendon_range[tendon])
-            is_limited = tendon in held or model.tendon_limited[tendon]
+            slack = 0.0 if tendon in fixed_tendons else np.ptp(model.tendon_range[tendon])
+            is_limited = tendon in fixed_tendons or model.tendon_limited[tendon]
             if len(joints) != 2 or not is_limited or not set(joints) <= {*names}:
                 continue
-            for (joint, share), (leader, other) in (
+            for (joint, share), (leader, leader_share) in (
                 ((joints[0], shares[0]), (joints[1], shares[1])),
                 ((joints[1], shares[1]), (joints[0], shares[0])),
             ):
                 free = joint not in driven and leader in driven and names[joint] not in given
                 if free and slack < _SLACK * abs(share):
                     given.add(names[joint])
-                    yield Follower(names[joint], names[leader], float(-other / share))
+                    yield Follower(names[joint], names[leader], float(-leader_share / share))
 
     def _wrapped(self, tendon: int) -> tuple[list[int], list[float]]:
         """The joints of a fixed tendon and their coefficients, none of any other."""
@@ -527,15 +527,15 @@ class HandFile:
     def _own_links(self) -> dict[str, list[int]]:
         """Finger -> the bodies that hang from no other finger's, from its tip on."""
         lines = {name: self._line(body) for name, (body, _, _) in self._tips.items()}
-        own, moving = {}, {int(self._model.jnt_bodyid[joint]) for joint in self._joints}
+        links, moving = {}, {int(self._model.jnt_bodyid[joint]) for joint in self._joints}
         for name, line in lines.items():
             shared = {b for other in lines.values() if other is not line for b in other}
-            own[name] = [b for b in line if b not in shared and b != self._root]
-            while own[name] and own[name][-1] not in moving:
-                own[name].pop()
-            if not own[name]:
+            links[name] = [b for b in line if b not in shared and b != self._root]
+            while links[name] and links[name][-1] not in moving:
+                links[name].pop()
+            if not links[name]:
                 raise self.error(f"finger {name} has no joint of its own; give another tip")
-        return own
+        return links
 
     def _chains(self, measurement: Measurement) -> Iterator[FingerChain]:
         """Yield the fingers, with as many of their last links as the shortest has."""
@@ -554,8 +554,8 @@ class HandFile:
     def _with_length(self, links: list[int]) -> Iterator[int]:
         """Yield the last link, and each that begins elsewhere than the one after it."""
         yield links[0]
-        for after, link in pairwise(links):
-            if np.linalg.norm(self._origin(link) - self._origin(after)) > _APART:
+        for next_link, link in pairwise(links):
+            if np.linalg.norm(self._origin(link) - self._origin(next_link)) > _APART:
                 yield link
 
     def _thickness(self, body: int) -> float:
@@ -662,8 +662,8 @@ def _one_joint_a_body(spec: mujoco.MjSpec, file: Path) -> mujoco.MjSpec:
 
 def _axis(direction: Array) -> Array:
     """The unit vector of the axis that is nearest to a direction."""
-    nearest = int(np.argmax(np.abs(direction)))
-    unit: Array = np.sign(direction[nearest]) * np.eye(3)[nearest]
+    index = int(np.argmax(np.abs(direction)))
+    unit: Array = np.sign(direction[index]) * np.eye(3)[index]
     return unit
 
 

@@ -71,9 +71,9 @@ class SecondFile:
         """Where the left palm sits on its forearm if the right one sits at `pos` [m], turned."""
         right, left = self._right, self._left
         turn = _MIRROR @ rotation @ right.rotation.T @ _MIRROR @ left.rotation
-        wanted = (pos + right.tips @ rotation.T) @ _MIRROR
-        at = (wanted - left.tips @ turn.T).mean(axis=0)
-        off = np.linalg.norm(at + left.tips @ turn.T - wanted, axis=1)
+        targets = (pos + right.tips @ rotation.T) @ _MIRROR
+        at = (targets - left.tips @ turn.T).mean(axis=0)
+        off = np.linalg.norm(at + left.tips @ turn.T - targets, axis=1)
         if off.max() > _ALIKE:
             raise self._error(
                 f"finger {list(left.fingers)[int(off.argmax())]} ends {1000 * off.max():.0f} mm "
@@ -143,9 +143,9 @@ class SecondFile:
     def _actuators(
         self, actuators: tuple[Actuator, ...], couplings: dict[str, Coupling]
     ) -> Iterator[Actuator]:
-        for each in actuators:
-            ours = couplings.get(each.target)
-            yield replace(each, target=ours.name if ours else self._called[each.target])
+        for actuator in actuators:
+            ours = couplings.get(actuator.target)
+            yield replace(actuator, target=ours.name if ours else self._called[actuator.target])
 
     def _follower(self, follower: Follower) -> Follower:
         joint, leader, ratio = follower.joint, follower.leader, follower.ratio

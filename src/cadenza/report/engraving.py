@@ -3,8 +3,8 @@
 Verovio engraves. Of its drawings remain shapes, glyphs and texts: glyphs are shared by all systems,
 and only the groups of notes are kept, to be coloured.
 
-`python -m cadenza.report.engraving` reads a score on stdin, as `WrittenScore` has it, and prints
-what `engraving_of` makes of it, so that nothing need wait for that.
+`python -m cadenza.report.engraving` reads a `WrittenScore` on stdin and prints its `engraving_of`,
+so that other processes need not wait.
 """
 
 import json
@@ -35,8 +35,9 @@ _MAX_PAGE_LENGTH = 60_000  # the greatest height of a page that Verovio takes
 _MARGIN = 400  # about the systems of a document and between them, in tenths of these
 # Verovio keeps a finger's number clear of what is above and below its own width, which is less than
 # that of a note's head: so it gets wider ones, and keeps stems beside them clear of them, too.
-_WIDE_FINGERS, _FINGERS = 0.95, 0.75  # parts of the size of other texts: as told, and as drawn
-_DRAWN = {"fing": _FINGERS / _WIDE_FINGERS, "tempo": 0.7}  # parts of the room that they are given
+_WIDE_FINGERS, _FINGERS = 0.95, 0.75  # parts of the size of other texts: for Verovio, and as drawn
+# Sizes of drawn texts, as parts of the sizes for which Verovio leaves room.
+_TEXT_SIZES = {"fing": _FINGERS / _WIDE_FINGERS, "tempo": 0.7}
 _OPTIONS = {
     "pageWidth": _WIDTH,
     "pageHeight": _MAX_PAGE_LENGTH,
@@ -184,16 +185,16 @@ class _Drawer:
         for group in drawing.iter(f"{_SVG}g"):
             if group.get("class") != "measure":
                 continue
-            here = self.sheet.measures[self._num_bars]
+            bar = self.sheet.measures[self._num_bars]
             upper_staff = group.find(f"{_SVG}g/{_SVG}path[@d]")
             line = None if upper_staff is None else _LINE.match(upper_staff.attrib["d"])
             assert line is not None
             left, right = int(line[1]), int(line[3])
-            yield EngravedBar(here.measure.number, left, right, here.begin, here.end)
+            yield EngravedBar(bar.measure.number, left, right, bar.begin, bar.end)
             self._num_bars += 1
 
     def _shapes(self, parent: Element, outlines: Mapping[str, str], style: str) -> Iterator[str]:
-        """Yield what is within an element, where texts have a `style`."""
+        """Yield the shapes in an element; texts have a `style`."""
         for element in parent:
             kind = element.tag.removeprefix(_SVG)
             names = element.get("class", "").split()
@@ -206,14 +207,14 @@ class _Drawer:
             elif kind != "g":
                 yield _shape(kind, element)
             elif "arpeg" in names:  # of wavy glyphs that are turned
-                within = "".join(self._shapes(element, outlines, style))
-                yield f'<g transform="{element.get("transform", "")}">{within}</g>'
+                content = "".join(self._shapes(element, outlines, style))
+                yield f'<g transform="{element.get("transform", "")}">{content}</g>'
             elif "note" in names and (number := _NOTE_ID.fullmatch(element.get("id", ""))):
-                within = "".join(self._shapes(element, outlines, style))
-                yield f'<g class="note" data-note="{number[1]}">{within}</g>'
+                content = "".join(self._shapes(element, outlines, style))
+                yield f'<g class="note" data-note="{number[1]}">{content}</g>'
             else:
-                known = next((_CLASSES[name] for name in names if name in _CLASSES), style)
-                yield from self._shapes(element, outlines, known)
+                inner_style = next((_CLASSES[name] for name in names if name in _CLASSES), style)
+                yield from self._shapes(element, outlines, inner_style)
 
     def _glyph(self, use: Element, outlines: Mapping[str, str]) -> str:
         name = use.get("href", "")[1:].partition("-")[0]
@@ -234,11 +235,11 @@ class _Drawer:
         """Yield a line of text, and before it the glyphs of a metronome mark."""
         x, y = text.get("x", ""), text.get("y", "")
         anchor = f' text-anchor="{text.get("text-anchor")}"' if text.get("text-anchor") else ""
-        named = f' class="{style}"' if style else ""
+        style_class = f' class="{style}"' if style else ""
         words, size = "", 0
         for part in text.iter(f"{_SVG}tspan"):
-            told = int(part.get("font-size", "0px").removesuffix("px"))
-            size = round(told * _DRAWN.get(style, 1)) or size
+            font_size = int(part.get("font-size", "0px").removesuffix("px"))
+            size = round(font_size * _TEXT_SIZES.get(style, 1)) or size
             for letter in part.text or "":
                 if letter in _IN_TEXT:
                     yield self._placed(f"{ord(letter):X}", _outline(letter), size / _EM, x, y)
@@ -246,21 +247,21 @@ class _Drawer:
                 else:
                     words += letter
         if words:
-            place = f'x="{x}" y="{y}"{anchor}{named} font-size="{size}"'
+            place = f'x="{x}" y="{y}"{anchor}{style_class} font-size="{size}"'
             yield f'<text {place} xml:space="preserve">{escape(words)}</text>'
 
 
 def _shape(kind: str, element: Element) -> str:
-    drawn = {name: value for name, value in element.attrib.items() if name not in ("id", "class")}
-    attributes = "".join(f" {name}={quoteattr(value)}" for name, value in drawn.items())
+    values = {name: value for name, value in element.attrib.items() if name not in ("id", "class")}
+    attributes = "".join(f" {name}={quoteattr(value)}" for name, value in values.items())
     return f"<{kind}{attributes}/>"
 
 
 def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
     """Write a score as an SVG file of all its systems, engraved as `write_musicxml` writes it.
 
-    Raises CadenzaError if the score has no notes. Returns remarks in plain words on what is not as
-    in the score.
+    Raises CadenzaError if the score has no notes. Returns remarks in plain words on differences
+    from the score.
     """
     sheet = sheet_of(score)
     with write_atomically(Path(path)) as file:
@@ -271,25 +272,25 @@ def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
 def engraving_of(score: Score) -> str:
     """Return the engraved score that `score.js` reads, as `packed_text`; "" for no notation.
 
-    A score has notation if its bars are known, or if its onsets fit the bars that are estimated, as
-    those of performers do not. One of over 15,000 symbols is too long for a page.
+    A score has notation if it has bars, or if its onsets fit the estimated bars, which those of
+    performers do not. A score of over 15,000 symbols is too long for a page.
     """
     if not 0 < len(score.notes) <= _MAX_SYMBOLS:
         return ""
     sheet = sheet_of(score)
-    symbols = len(sheet.measures) + sum(max(len(each.notes), 1) for each in sheet.symbols)
+    symbols = len(sheet.measures) + sum(max(len(symbol.notes), 1) for symbol in sheet.symbols)
     if not sheet.is_sure or symbols > _MAX_SYMBOLS:
         return ""
-    drawn = engraved(sheet)
-    about = {
-        "glyphs": drawn.glyphs,
-        "frame": drawn.frame,
-        "systems": [asdict(system) for system in drawn.systems],
+    engraving = engraved(sheet)
+    contents = {
+        "glyphs": engraving.glyphs,
+        "frame": engraving.frame,
+        "systems": [asdict(system) for system in engraving.systems],
         "notes": [[note.pitch, note.start, note.end] for note in sheet.notes],
         "remarks": sheet.remarks,
         "musicxml": musicxml_of(sheet),
     }
-    return packed_text(json.dumps(about, **COMPACT))
+    return packed_text(json.dumps(contents, **COMPACT))
 
 
 @cache
@@ -346,8 +347,8 @@ def engraving_within(patience: float, score: Score) -> str:
 def main() -> None:
     """Engrave the score on stdin."""
     os.nice(_NICENESS)
-    written = parsed_json(sys.stdin.buffer.read(), WrittenScore, "score")
-    sys.stdout.write(engraving_of(written.score))
+    input_score = parsed_json(sys.stdin.buffer.read(), WrittenScore, "score")
+    sys.stdout.write(engraving_of(input_score.score))
 
 
 if __name__ == "__main__":

@@ -118,9 +118,9 @@ def performance_page(
 
 
 def _facts(episode: Episode, settings: Mapping[str, Any]) -> dict[str, str]:
-    named = {name.rsplit(".", 1)[-1]: settings[name] for name in reversed(list(settings))}
-    facts = {} if named.get("agent") is None else {"played by": _plain(named["agent"])}
-    if named.get("hands") == "apart":
+    by_name = {name.rsplit(".", 1)[-1]: settings[name] for name in reversed(list(settings))}
+    facts = {} if by_name.get("agent") is None else {"played by": _plain(by_name["agent"])}
+    if by_name.get("hands") == "apart":
         facts["recordings"] = "of each hand by itself, combined"
     return facts | {"length": f"{episode.num_steps * episode.dt:.1f} s"}
 
@@ -144,8 +144,8 @@ def _figures(
     titles: Mapping[str, tuple[str, str]], metrics: Mapping[str, Any]
 ) -> list[tuple[str, str, str, float | None]]:
     """Return title and meaning of metrics, their values as text, and the lengths of their bars."""
-    known = [name for name in titles if name in metrics]
-    return [(*titles[name], *_figure(metrics[name])) for name in known]
+    names = [name for name in titles if name in metrics]
+    return [(*titles[name], *_figure(metrics[name])) for name in names]
 
 
 def _figure(value: Any) -> tuple[str, float | None]:
@@ -221,7 +221,7 @@ def recording_of(
         for name, values in episode.arrays.items()
         if name.startswith("reward_")
     }
-    played = played_in(episode)
+    performance = played_in(episode)
     target = written.until(episode.num_steps * episode.dt).notes if written else ()
     return {
         "dt": episode.dt,
@@ -234,13 +234,13 @@ def recording_of(
         "angles": packed((depth * 255).astype(np.uint8)),
         "notes": [
             [note.pitch - episode.lowest_pitch, note.start, note.end, note.velocity]
-            for note in played.notes
+            for note in performance.notes
         ],
         "written": [[note.start, note.velocity] for note in target],
         "fingers": finger_numbers(target, episode.lowest_pitch),
         "onsetErrors": [
-            [note.start, round(MS_PER_SECOND * (own.start - note.start), 2)]
-            for note, own in matched_notes(target, played.notes, SAME_NOTE)
+            [note.start, round(MS_PER_SECOND * (own_note.start - note.start), 2)]
+            for note, own_note in matched_notes(target, performance.notes, SAME_NOTE)
         ],
         "states": packed(key_verdicts(episode["goal_keys"], episode["key_activation"])),
         "pedal": packed(key_verdicts(episode["goal_sustain"], episode["sustain_activation"])),

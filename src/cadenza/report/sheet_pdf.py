@@ -68,7 +68,7 @@ def write_pdf(score: Score, path: str | Path) -> tuple[str, ...]:
         gap = min((top - _MARGIN - sum(heights)) / max(len(systems) - 1, 1), _MAX_GAP)
         parts = list(_heading(sheet.title, score.composer, number, len(pages)))
         for system, height in zip(systems, heights, strict=True):
-            shapes = "\n".join(_drawn(fromstring(f"<g>{system.svg}</g>"), glyphs))
+            shapes = "\n".join(_drawing(fromstring(f"<g>{system.svg}</g>"), glyphs))
             parts += [f"q {scale:.6f} 0 0 {-scale:.6f} {_MARGIN} {top:.2f} cm\n{shapes}\nQ"]
             top -= height + gap
         drawn.append("\n".join(parts).encode(_ENCODING))
@@ -78,7 +78,7 @@ def write_pdf(score: Score, path: str | Path) -> tuple[str, ...]:
 
 
 def _without_lone_bar(sheet: Sheet) -> Engraving:
-    """Engrave sheet music so that its last system has more than a bar, if it can."""
+    """Engrave sheet music so that its last system has more than one bar, if possible."""
     engravings = (engraved(sheet, width) for width in _STAVES)
     first = next(engravings)
     ends_well = (e for e in chain([first], engravings) if len(e.systems[-1].bars) > 1)
@@ -86,7 +86,7 @@ def _without_lone_bar(sheet: Sheet) -> Engraving:
 
 
 def _spread(systems: Sequence[System], scale: float) -> list[list[System]]:
-    """Spread systems over pages; the last has more than one wherever the one before can give it."""
+    """Spread systems over pages; the last page has more than one if the page before can spare it."""
     pages: list[list[System]] = []
     room = 0.0
     for system in systems:
@@ -114,14 +114,14 @@ def _heading(title: str, composer: str, number: int, count: int) -> Iterator[str
         yield _text(f"{number} / {count}", "", _SMALL, middle, _MARGIN - 2 * _SMALL, "middle")
 
 
-def _drawn(parent: Element, glyphs: Mapping[str, str]) -> Iterator[str]:
-    """Yield the operators that draw what is within an element."""
+def _drawing(parent: Element, glyphs: Mapping[str, str]) -> Iterator[str]:
+    """Yield the operators that draw the contents of an element."""
     for shape in parent:
         value = {name: float(v) for name, v in shape.items() if _NUMBER.fullmatch(v)}
         if shape.tag == "g":
             turn = _turned(shape.get("transform", ""))
             yield from (
-                (f"q {turn} cm", *_drawn(shape, glyphs), "Q") if turn else _drawn(shape, glyphs)
+                (f"q {turn} cm", *_drawing(shape, glyphs), "Q") if turn else _drawing(shape, glyphs)
             )
         elif shape.tag == "use":
             glyph = glyphs[shape.attrib["href"][1:]]
@@ -163,31 +163,31 @@ def _painted(shape: Element, value: Mapping[str, float]) -> str:
 
 def _outline(shape: Element, scale: float = 0.0) -> str:
     """Return the outline of a path or polygon; with a `scale`, of a glyph, which is upside down."""
-    drawn: list[str] = []
+    operators: list[str] = []
     at = start = control = 0j
     across, down = (scale, -scale) if scale else (1.0, 1.0)
     points = f"M{shape.get('points')}{'z' if shape.tag == 'polygon' else ''}"
     for kind, text in _COMMAND.findall(shape.get("d", points)):
         if kind in "zZ":
-            at, drawn = start, [*drawn, "h"]
+            at, operators = start, [*operators, "h"]
             continue
         numbers, count = [float(n) for n in _NUMBER.findall(text)], _COUNTS[kind.lower()]
         for i in range(0, len(numbers), count):
-            base, own = at if kind.islower() else 0j, numbers[i : i + count]
+            base, values = at if kind.islower() else 0j, numbers[i : i + count]
             if kind in "hH":
-                places = [complex(base.real + own[0], at.imag)]
+                places = [complex(base.real + values[0], at.imag)]
             elif kind in "vV":
-                places = [complex(at.real, base.imag + own[0])]
+                places = [complex(at.real, base.imag + values[0])]
             else:
-                places = [base + complex(*own[j : j + 2]) for j in range(0, count, 2)]
+                places = [base + complex(*values[j : j + 2]) for j in range(0, count, 2)]
             if kind in "sS":
                 places.insert(0, 2 * at - control)
             is_curve, is_move = len(places) == 3, kind in "mM" and not i
             control, at = places[-2 if is_curve else -1], places[-1]
             start = at if is_move else start
-            drawn += [f"{across * p.real:.6g} {down * p.imag:.6g}" for p in places]
-            drawn += ["c" if is_curve else "m" if is_move else "l"]
-    return " ".join(drawn)
+            operators += [f"{across * p.real:.6g} {down * p.imag:.6g}" for p in places]
+            operators += ["c" if is_curve else "m" if is_move else "l"]
+    return " ".join(operators)
 
 
 def _text(
@@ -195,22 +195,22 @@ def _text(
 ) -> str:
     """Return the operators of a line of text, which in a drawing has to be `turned` by -1."""
     x -= {"middle": 0.5, "end": 1.0}.get(anchor, 0.0) * _width(text, style) * size
-    escaped = re.sub(r"([\\()])", r"\\\1", _known(text))
+    escaped = re.sub(r"([\\()])", r"\\\1", _encodable(text))
     font = f"/F{list(_FONTS).index(style)} {size:g} Tf"
     return f"BT {font} 1 0 0 {turned} {x:.2f} {y:.2f} Tm ({escaped}) Tj ET"
 
 
-def _known(text: str) -> str:
-    """Return a text in letters that Times has: others spelled, without accents, or as a "?"."""
+def _encodable(text: str) -> str:
+    """Return a text in letters of Times; others are spelled, lose accents, or become "?"."""
     text = text.translate(_SPELLED)
     pairs = ((letter, unicodedata.normalize("NFKD", letter)[0]) for letter in text)
-    known = (letter if letter.encode(_ENCODING, "ignore") else base for letter, base in pairs)
-    return "".join(known).encode(_ENCODING, "replace").decode(_ENCODING)
+    letters = (letter if letter.encode(_ENCODING, "ignore") else base for letter, base in pairs)
+    return "".join(letters).encode(_ENCODING, "replace").decode(_ENCODING)
 
 
 def _width(text: str, style: str) -> float:
     """Return how long a line of text is, in parts of the size of its letters."""
-    widths = (_widths(style).get(ord(letter), _UNITS_PER_EM / 2) for letter in _known(text))
+    widths = (_widths(style).get(ord(letter), _UNITS_PER_EM / 2) for letter in _encodable(text))
     return sum(widths) / _UNITS_PER_EM
 
 

@@ -132,8 +132,8 @@ def bit_rate_of(seconds: float, mono: bool = False) -> int:
 
     Of a minute it is 90 kbit/s, from three minutes on 30 kbit/s; of one channel 48 and 20 kbit/s.
     """
-    least, most = _MONO_RATES if mono else _STEREO_RATES
-    return round(min(max(least * _LONG / max(seconds, 1.0), least), most))
+    lowest, highest = _MONO_RATES if mono else _STEREO_RATES
+    return round(min(max(lowest * _LONG / max(seconds, 1.0), lowest), highest))
 
 
 def write_audio(
@@ -213,22 +213,22 @@ def _blocks(
     size = BLOCK * SAMPLE_RATE
     mix = np.zeros((2, size), np.float32)  # from the block's beginning on
     tones: dict[tuple[int, int, int], NDArray[np.float32]] = {}
-    done = 0
+    index = 0
     for begin in range(0, length, size):
-        while done < len(notes) and round(notes[done][0].start * SAMPLE_RATE) < begin + size:
-            note, release = notes[done]
+        while index < len(notes) and round(notes[index][0].start * SAMPLE_RATE) < begin + size:
+            note, release = notes[index]
             sound = _damped(_tone_of(note, release, tones, voice), note, release)
             first = round(note.start * SAMPLE_RATE) - begin
-            mix = _at_least(first + len(sound), mix)
+            mix = _padded(first + len(sound), mix)
             gain = _LOUDEST * (note.velocity / loudest) ** LOUDER
             for channel, level in zip(mix, gain * _pan(note.pitch), strict=True):
                 channel[first : first + len(sound)] += sound * level
-            done += 1
+            index += 1
         yield np.ascontiguousarray(mix[:, : min(size, length - begin)])
-        mix = _at_least(size, mix[:, size:])
+        mix = _padded(size, mix[:, size:])
 
 
-def _at_least(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
+def _padded(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return `mix` (2, n) with silence after it where it is shorter."""
     return np.pad(mix, ((0, 0), (0, max(0, length - mix.shape[1]))))
 
@@ -264,9 +264,9 @@ def _releases(score: Score) -> list[float]:
         if event >= 0 and down[event]:
             lift = lifts[np.searchsorted(lifts, note.end, side="right")]
             release = min(lift, max(end, note.end) + 2.0)  # a pedal never lifted lets go at last
-        again = bisect_right(strikes[note.pitch], note.start)
-        if again < len(strikes[note.pitch]):
-            release = min(release, strikes[note.pitch][again])
+        index = bisect_right(strikes[note.pitch], note.start)
+        if index < len(strikes[note.pitch]):
+            release = min(release, strikes[note.pitch][index])
         releases.append(min(max(release, note.start + 0.03), note.start + _LONGEST))
     return releases
 
@@ -278,13 +278,13 @@ def _damping(pitch: int) -> float:
 
 def _damped(tone: NDArray[np.float32], note: Note, release: float) -> NDArray[np.float32]:
     """Return the note's tone (n,) with the damper falling at `release` [s]."""
-    held, damping = release - note.start, _damping(note.pitch)
-    sound = tone[: int((held + damping) * SAMPLE_RATE)].copy()
-    after = sound[int(held * SAMPLE_RATE) :]
-    fade = np.linspace(1, 0, len(after), dtype=np.float32)  # ends at exactly 0: no click
+    seconds, damping = release - note.start, _damping(note.pitch)
+    sound = tone[: int((seconds + damping) * SAMPLE_RATE)].copy()
+    tail = sound[int(seconds * SAMPLE_RATE) :]
+    fade = np.linspace(1, 0, len(tail), dtype=np.float32)  # ends at exactly 0: no click
     if note.pitch <= LAST_DAMPER:
-        fade *= np.exp(-np.arange(len(after), dtype=np.float32) / (DAMPING * SAMPLE_RATE))
-    after *= fade
+        fade *= np.exp(-np.arange(len(tail), dtype=np.float32) / (DAMPING * SAMPLE_RATE))
+    tail *= fade
     return sound
 
 
@@ -321,21 +321,20 @@ def _in_room(blocks: Iterator[NDArray[np.float32]]) -> Iterator[NDArray[np.float
 def _level(sound: Sound, gain: float) -> None:
     """Replace a mix in half precision by its samples times `gain`.
 
-    Where that exceeds the ceiling, it is turned down around peaks, so that the waveform is not
-    bent.
+    Around peaks above the ceiling the gain is lower, so that the waveform is not distorted.
     """
     window = int(0.01 * SAMPLE_RATE) | 1
     size = BLOCK * SAMPLE_RATE
-    before = np.zeros((2, 0), np.float32)  # what the block just written was like
+    previous = np.zeros((2, 0), np.float32)  # the end of the block before, without limiting
     for first in range(0, len(sound), size):
         mix = sound[first : first + size + window].view(np.float16)
-        here = mix.T.astype(np.float32) * np.float32(gain)
-        audio = np.hstack([before, here])
+        current = mix.T.astype(np.float32) * np.float32(gain)
+        audio = np.hstack([previous, current])
         peak = ndimage.maximum_filter1d(np.abs(audio).max(axis=0), window)
         down = ndimage.uniform_filter1d(np.minimum(1, CEILING / np.maximum(peak, 1e-9)), window)
-        block = (audio * down)[:, before.shape[1] :][:, :size]
+        block = (audio * down)[:, previous.shape[1] :][:, :size]
         sound.write(first, np.rint(block * 32767).T.astype(np.int16))
-        before = here[:, :size][:, -window:]
+        previous = current[:, :size][:, -window:]
 
 
 # Sound fonts

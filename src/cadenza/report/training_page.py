@@ -138,49 +138,51 @@ def _end(runs: Sequence[Curve]) -> float:
 
 def _points(run: Curve, column: str, above: float = -_MAX_VALUE) -> Points:
     """Return the values of a column that can be drawn and lie `above`, by control steps."""
-    known = [
+    values = [
         (row.get("eval_step", row["step"]), row[column])
         for row in run.rows
         if row.get(column) is not None
     ]
-    x, y = np.array(known, float).reshape(-1, 2).T
+    x, y = np.array(values, float).reshape(-1, 2).T
     drawable = (y > above) & (y < _MAX_VALUE) & (x < _MAX_VALUE)
     return Points(x[drawable], y[drawable])
 
 
-def _resampled(each: Sequence[Points]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _resampled(lines: Sequence[Points]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return x (n,) where all lines that have points are, and their values (lines, n) there."""
-    each = [points for points in each if len(points.x)]
-    x = np.unique(np.concatenate([np.empty(0), *(points.x for points in each)]))
-    for points in each:
+    lines = [points for points in lines if len(points.x)]
+    x = np.unique(np.concatenate([np.empty(0), *(points.x for points in lines)]))
+    for points in lines:
         x = x[(points.x[0] <= x) & (x <= points.x[-1])]
-    return x, np.array([np.interp(x, *points) for points in each] or [x])
+    return x, np.array([np.interp(x, *points) for points in lines] or [x])
 
 
 def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
     """Return means over neighbours, as few as the page has room for."""
-    most = min(_MAX_LINE_POINTS, max(_MAX_POINTS // len(runs), 2))
-    if len(points.x) <= most:
+    max_points = min(_MAX_LINE_POINTS, max(_MAX_POINTS // len(runs), 2))
+    if len(points.x) <= max_points:
         return points
-    first = np.linspace(0, len(points.x), most, endpoint=False).astype(int)
+    first = np.linspace(0, len(points.x), max_points, endpoint=False).astype(int)
     size = np.diff(first, append=len(points.x))
     return Points(*(np.add.reduceat(values, first) / size for values in points))
 
 
-def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[dict[str, Any]]:
+def _lines(runs: Sequence[Curve], points_of_runs: Sequence[Points]) -> list[dict[str, Any]]:
     """Return the lines of `_series` that have points, but for a mean of fewer than two runs."""
-    num_known = sum(len(points.x) > 0 for points in each)
+    num_lines = sum(len(points.x) > 0 for points in points_of_runs)
     lines = [
-        _line(style, name, [each[i] for i in members], runs)
+        _line(style, name, [points_of_runs[i] for i in members], runs)
         for style, name, members in _series(runs)
-        if num_known > 1 or style != _MEAN
+        if num_lines > 1 or style != _MEAN
     ]
     return [line for line in lines if line["x"]]
 
 
-def _line(style: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) -> dict[str, Any]:
+def _line(
+    style: str, name: str, points_of_runs: Sequence[Points], runs: Sequence[Curve]
+) -> dict[str, Any]:
     """Return the mean of lines, for several of a task over a band from lowest to highest."""
-    x, values = _resampled(each)
+    x, values = _resampled(points_of_runs)
     mean, low, high = (
         _thinned(Points(x, y), runs) for y in (values.mean(0), values.min(0), values.max(0))
     )
@@ -198,8 +200,8 @@ def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
     if len(tasks) > 1:
         return [(_style(i), task, tasks[task]) for i, task in enumerate(tasks)]
     numbers = list(range(len(runs)))
-    each = [(_style(n), runs[n].name, [n]) for n in numbers]
-    return each + [(_MEAN, _MEAN, numbers)] * (len(runs) > 1)
+    series = [(_style(n), runs[n].name, [n]) for n in numbers]
+    return series + [(_MEAN, _MEAN, numbers)] * (len(runs) > 1)
 
 
 def _style(number: int) -> str:

@@ -53,10 +53,10 @@ class Links(NamedTuple):
             at: (..., 3) the points [m].
             direction: (..., 3) unit vectors.
         """
-        hand, own = np.divmod(finger, len(self.carried))
+        hand, own_finger = np.divmod(finger, len(self.carried))
         wrench = np.concatenate([_cross(at.T, direction.T).T, direction], axis=-1)
         by_joints = (self.screws[posture, hand] @ wrench[..., None])[..., 0]
-        derivatives: Array = (by_joints * self.carried[own, link]) @ self.shares
+        derivatives: Array = (by_joints * self.carried[own_finger, link]) @ self.shares
         return derivatives
 
 
@@ -89,8 +89,8 @@ class Kinematics:
         joints = model.njnt // self._hands
         self._hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
         self._shares = servos.joints[: self._num_servos, :joints].T
-        of_one = chains[: len(chains) // self._hands]
-        carried = [np.isin(model.jnt_bodyid[:joints], list(chain)) for chain in of_one]
+        chains_of_hand = chains[: len(chains) // self._hands]
+        carried = [np.isin(model.jnt_bodyid[:joints], list(chain)) for chain in chains_of_hand]
         self._carried = np.array(carried).reshape(-1, self._num_points, joints)
 
     def links(self, postures: Array) -> Links:
@@ -140,13 +140,13 @@ class Kinematics:
     def _forward(self, postures: Array) -> tuple[Array, Array, Array]:
         """(3, S, N) points, and (3, S, J) axes and anchors of joints, in postures (S, A)."""
         data, count, size = self._data, len(postures), self._num_points
-        now = data.xpos, data.site_xpos, data.xaxis, data.xanchor
-        rows = [np.empty((count, *values.shape)) for values in now]
+        values_of_data = data.xpos, data.site_xpos, data.xaxis, data.xanchor
+        rows = [np.empty((count, *values.shape)) for values in values_of_data]
         for row, qpos in enumerate(postures @ self.servos.joints):
             data.qpos = qpos
             mujoco.mj_kinematics(self._model, data)
-            for kept, values in zip(rows, now, strict=True):
-                kept[row] = values
+            for target, values in zip(rows, values_of_data, strict=True):
+                target[row] = values
         # An array for each of x, y and z: products of vectors take several times as long.
         bodies, sites, axes, anchors = (
             np.ascontiguousarray(values.transpose(2, 0, 1)) for values in rows

@@ -100,13 +100,13 @@ def scale(model: mujoco.MjModel, scene: Scene, factors: Factors, data: mujoco.Mj
 def _displace(model: mujoco.MjModel, scene: Scene, name: str, by: NDArray[np.float64]) -> None:
     """Move or turn the keyboard, or the bases of the hands."""
     names = ["piano"] if name.startswith("keyboard") else [f"{side}_hand" for side in scene.sides]
-    for body, own in zip(names, by.reshape(-1, 3), strict=True):
+    for body, offset in zip(names, by.reshape(-1, 3), strict=True):
         i = model.body(body).id
         if name.endswith("offset"):
-            model.body_pos[i] = scene.model.body_pos[i] + own
+            model.body_pos[i] = scene.model.body_pos[i] + offset
             continue
-        turned, angle = np.zeros(4), float(np.linalg.norm(own))
-        mujoco.mju_axisAngle2Quat(turned, own / (angle or 1.0), angle)
+        turned, angle = np.zeros(4), float(np.linalg.norm(offset))
+        mujoco.mju_axisAngle2Quat(turned, offset / (angle or 1.0), angle)
         mujoco.mju_mulQuat(model.body_quat[i], turned, scene.model.body_quat[i])
 
 

@@ -91,9 +91,9 @@ class Scene:
         return self._on(sides, len(self.fingertip_sites))
 
     def _on(self, sides: tuple[Side, ...], count: int) -> slice:
-        each = count // len(self.sides)
-        first = self.sides.index(sides[0]) * each
-        return slice(first, first + len(sides) * each)
+        per_side = count // len(self.sides)
+        first = self.sides.index(sides[0]) * per_side
+        return slice(first, first + len(sides) * per_side)
 
     def has_fingers(self, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Whether each of `numbers` is that of a finger that is there."""
@@ -344,8 +344,8 @@ def _resolve(
     )
 
 
-def _ids_with_prefix(count: int, named: Callable[[int], Any], prefix: str) -> list[int]:
-    return [i for i in range(count) if named(i).name.startswith(prefix)]
+def _ids_with_prefix(count: int, element: Callable[[int], Any], prefix: str) -> list[int]:
+    return [i for i in range(count) if element(i).name.startswith(prefix)]
 
 
 def _geoms_of(model: mujoco.MjModel, prefix: str, links: Sequence[str]) -> NDArray[np.bool_]:

@@ -57,8 +57,8 @@ class Broadcast:
             if "state" not in received:
                 self.texts.append(content)
             elif received["state"] != "preparing" or self.status["state"] != "playing":
-                lasting = {name: self.status[name] for name in _LASTING if name in self.status}
-                self.status = lasting | received
+                kept_status = {name: self.status[name] for name in _LASTING if name in self.status}
+                self.status = kept_status | received
         self.notify()
 
     async def send_all(

@@ -127,8 +127,8 @@ class JobQueue:
         while self._waiting and self._has_room():
             self._start(self._waiting.popleft())
         num_busy = sum(job.is_busy for job in self.jobs.values())
-        for before, job in enumerate(self._waiting, start=num_busy):
-            job.status = {"state": "queued", "before": before}
+        for place, job in enumerate(self._waiting, start=num_busy):
+            job.status = {"state": "queued", "before": place}
             job.notify()
         self._forget()
         self.practice.pause(num_busy > 0)
@@ -148,12 +148,12 @@ class JobQueue:
         task.add_done_callback(self._tasks.discard)
 
     def _forget(self) -> None:
-        """Drop what is kept, to be read from its folder, and all but the state of what failed."""
-        over = [job for job in self.jobs.values() if job.is_over and not job.is_busy]
-        failed = [job for job in over if job.status["state"] != "kept"]
+        """Drop jobs with a folder, and all but the states of jobs that failed."""
+        finished = [job for job in self.jobs.values() if job.is_over and not job.is_busy]
+        failed = [job for job in finished if job.status["state"] != "kept"]
         for job in failed:
             job.texts, job.rows = [], b""
-        for job in over:
+        for job in finished:
             if job not in failed[-_MAX_FAILED:]:
                 del self.jobs[job.id]
 

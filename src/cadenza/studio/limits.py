@@ -39,10 +39,10 @@ def limit(limits: Limits) -> None:
     import resource  # which only Unix has
 
     kinds = resource.RLIMIT_DATA, resource.RLIMIT_CPU, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE
-    for kind, most in zip(kinds, (*limits, 0), strict=True):
+    for kind, maximum in zip(kinds, (*limits, 0), strict=True):
         _, hard = resource.getrlimit(kind)
-        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(kind, (most, most))
+        maximum = maximum if hard == resource.RLIM_INFINITY else min(maximum, hard)
+        resource.setrlimit(kind, (maximum, maximum))
 
 
 def main() -> None:

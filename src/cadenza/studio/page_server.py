@@ -192,15 +192,15 @@ def serve(
         address_file: keeps token and port for the next time, so that links stay valid.
     """
     os.environ["PYTHONSAFEPATH"] = "1"  # no process of ours imports from the working folder
-    known = None if address_file is None else read_address(address_file)
-    token, last_port = astuple(known or Address(secrets.token_urlsafe(16), 0))
+    address = None if address_file is None else read_address(address_file)
+    token, last_port = astuple(address or Address(secrets.token_urlsafe(16), 0))
     with _bound_socket(host, [port] if port else [last_port, 0]) as listening:
         port = listening.getsockname()[1]
-        if address_file is not None and known is None:
+        if address_file is not None and address is None:
             write_address(address_file, Address(token, port))
-        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-        shown = f"[{shown}]" if ":" in shown else shown
-        ready(f"http://{shown}:{port}/{token}/")
+        shown_host = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        shown_host = f"[{shown_host}]" if ":" in shown_host else shown_host
+        ready(f"http://{shown_host}:{port}/{token}/")
         config = uvicorn.Config(
             app(token, host),
             log_level="warning",

@@ -52,19 +52,19 @@ def main() -> None:
 def practise(order: Order, send: Send) -> None:
     """Practise, and save what is played better."""
     folder, report = practice_folder_of(order), progress_reporter(send)
-    kept = practice_folder(folder)
-    with kept.claimed() as ours, set_up_order(order, report) as setup:
+    practice = practice_folder(folder)
+    with practice.claimed() as ours, set_up_order(order, report) as setup:
         if not ours:
             raise CadenzaError("another studio practises this song already")
         try:
-            practising = Practising(setup, kept, report)
+            practising = Practising(setup, practice, report)
         except CadenzaError:  # damaged
             if not (folder / PRACTICE).exists():
                 raise
             (folder / PRACTICE).replace(folder / f"{PRACTICE}.old")
-            practising = Practising(setup, kept, report)
-        known = practising.practice.history if (folder / PRACTISED).exists() else ()
-        _practise_until_done(practising, len(known), send)
+            practising = Practising(setup, practice, report)
+        history = practising.practice.history if (folder / PRACTISED).exists() else ()
+        _practise_until_done(practising, len(history), send)
 
 
 def _practise_until_done(practising: Practising, num_saved: int, send: Send) -> None:

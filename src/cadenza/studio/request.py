@@ -117,9 +117,9 @@ def read_request(content: Any, agents: Collection[str], hands: Collection[str]) 
         request = checked(content, PlayRequest, "request")
     except CadenzaError as error:
         raise CadenzaError(str(error).partition(";")[0]) from error
-    for name, known in ("agent", agents), ("hand", hands):
-        if getattr(request, name) not in known:
-            raise CadenzaError(f"{name}: choose from {', '.join(known)}")
+    for name, names in ("agent", agents), ("hand", hands):
+        if getattr(request, name) not in names:
+            raise CadenzaError(f"{name}: choose from {', '.join(names)}")
     check_ranges(request, _RANGES)
     if len(request.tracks) > _MAX_TRACKS or not all(0 < t <= _MAX_TRACK for t in request.tracks):
         raise CadenzaError(f"tracks: choose {_MAX_TRACKS} or fewer, by their numbers in the file")

@@ -106,9 +106,9 @@ class Storage:
 
     def source(self, song: str) -> tuple[str, str, bool]:
         """Return title, name or path, and whether it is an upload, or raise CadenzaError."""
-        for known in _library_songs():
-            if known.name == song:
-                return known.title or song, song, False
+        for library_song in _library_songs():
+            if library_song.name == song:
+                return library_song.title or song, song, False
         with suppress(CadenzaError):
             upload = self._upload(self.uploads / f"{song}.json")
             return upload.title, str(self.uploads / f"{song}{upload.ending}"), True

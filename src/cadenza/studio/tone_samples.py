@@ -48,7 +48,7 @@ class Synthesizer:
     """
 
     def __init__(self) -> None:
-        self._one = CapacityLimiter(1)
+        self._limiter = CapacityLimiter(1)
 
     async def tone(self, pitch: int, band: int) -> bytes:
         """Return the samples of a tone, see `samples`.
@@ -59,7 +59,7 @@ class Synthesizer:
             raise CadenzaError("there is no such tone")
         try:
             return await to_process.run_sync(
-                samples, pitch, band, cancellable=True, limiter=self._one
+                samples, pitch, band, cancellable=True, limiter=self._limiter
             )
         except BrokenWorkerProcess as error:
             raise CadenzaError("the tone cannot be made") from error
