@@ -117,12 +117,10 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
     """
     notes = list(score.notes)
     for hand in range(len(SIDES)):
-        own_notes = [
-            i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand
-        ]
-        struck = list(chords(own_notes, TOGETHER, lambda i: notes[i].start))
+        played = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
+        struck = list(chords(played, TOGETHER, lambda i: notes[i].start))
         _end_for_jumps(notes, struck, hand, players, times)
-        _end_for_other_keys(notes, own_notes, times)
+        _end_for_other_keys(notes, played, times)
     return replace(score, notes=tuple(notes))
 
 

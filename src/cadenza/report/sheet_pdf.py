@@ -86,7 +86,7 @@ def _without_lone_bar(sheet: Sheet) -> Engraving:
 
 
 def _spread(systems: Sequence[System], scale: float) -> list[list[System]]:
-    """Spread systems over pages; the last page has more than one if the page before can spare it."""
+    """Spread systems over pages; the last has more than one if the page before can spare it."""
     pages: list[list[System]] = []
     room = 0.0
     for system in systems:
