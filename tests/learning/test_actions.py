@@ -10,6 +10,7 @@ from rl_examples import melody
 
 from begun import begun
 from cadenza.agents.agent import Agent
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
@@ -61,6 +62,17 @@ def test_without_corrections_it_plays_what_the_planner_plays(options):
         assert_allclose(ours.episode.arrays[name], planner.episode.arrays[name], atol=1e-9)
     assert ours.metrics["f1"] == planner.metrics["f1"] > 0.9
     assert ours.metrics["sustain_f1"] == 1
+
+
+def test_with_an_effort_it_plays_what_was_practised():
+    ours = Following()
+    ours.reference = reference_of(PianoTask([SONG], TaskConfig(**BUFFER)), effort=0.1)
+    actions = [
+        play_episode(PianoTask([SONG], TaskConfig(**BUFFER)), agent).episode.arrays["action"]
+        for agent in (ours, Planner(PlannerConfig(effort=0.1)), Planner())
+    ]
+    assert_allclose(actions[0], actions[1], atol=1e-9)
+    assert np.abs(actions[0] - actions[2]).max() > 1e-3
 
 
 def test_it_begins_where_the_hands_do():

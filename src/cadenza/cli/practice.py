@@ -144,7 +144,7 @@ def _resumed(
 
 
 def _check(command: PracticeCommand) -> None:
-    from cadenza.agents.planner.practice.practice import MAX_EFFORT
+    from cadenza.agents.planner.config import MAX_EFFORT
 
     if command.effort is not None and command.minutes is not None:
         raise CadenzaError("--effort and --minutes: give one of them")
@@ -206,7 +206,7 @@ def _practise(
     practising: Practising, effort: float, minutes: float | None, stop: Callable[[], bool]
 ) -> None:
     """Practise until the effort is made, the time is over, or `stop`; save it now and then."""
-    from cadenza.agents.planner.practice.practice import MAX_EFFORT
+    from cadenza.agents.planner.config import MAX_EFFORT
 
     practice = practising.practice
     score, num_printed = practice.plan.track.delayed_score, len(practice.history)

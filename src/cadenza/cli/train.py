@@ -164,13 +164,14 @@ def _train(command: Train, folder: Path) -> None:
         scores = tuple(song.written_for(hands).score for song in loaded)
         check_writable(folder)
     with run.locked(), _prints_how_to_resume(folder, command.training):
-        if command.songs:
-            config = command.training
-            training = begin(config, scores, run)
-        else:
-            run.set_end(command.training)
-            config, scores = run.settings()
-            training = Training(problem_of(config, scores), run)
+        with stages("playing") as reporter:
+            if command.songs:
+                config = command.training
+                training = begin(config, scores, run, reporter)
+            else:
+                run.set_end(command.training)
+                config, scores = run.settings()
+                training = Training(problem_of(config, scores, reporter), run)
         title = _title(scores)
         with closing(training):
             finished = _train_until_stopped(training, command, run, title)

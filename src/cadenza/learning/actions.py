@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
@@ -15,6 +17,7 @@ from cadenza.learning.observation import Floats
 from cadenza.learning.ranges import Ranges
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
+from cadenza.sim.threads import available_cores
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import TaskSpec
@@ -43,8 +46,12 @@ class Reference(NamedTuple):
     reach: Array  # (A,) largest corrections [m, rad]
 
 
-def reference_of(task: PianoTask, seed: int = 0) -> Reference:
+def reference_of(
+    task: PianoTask, seed: int = 0, effort: float = 0.0, progress: Progress = silent
+) -> Reference:
     """Have the planner play the only score of a task, which has one environment.
+
+    It practises with an `effort`, see `PlannerConfig`.
 
     Raises CadenzaError if the task has several scores, changes one or the start at random, or has
     no hands.
@@ -55,7 +62,9 @@ def reference_of(task: PianoTask, seed: int = 0) -> Reference:
             "a residual policy corrects the plan of one song: give one, or learn several from "
             "nothing (--no-residual)"
         )
-    played = play_episode(task, Planner(), seed)
+    planner = Planner(PlannerConfig(effort=effort))
+    planner.num_threads, planner.progress = available_cores(), progress
+    played = play_episode(task, planner, seed)
     servos = servos_of(task.scene)
     arrays, plan = played.episode.arrays, played.plan
     assert plan is not None

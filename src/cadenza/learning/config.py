@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from cadenza.agents.planner.config import MAX_EFFORT
 from cadenza.configs import MAX_COUNT, check_ranges, in_short
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.cloning.config import CloningConfig
@@ -42,7 +43,9 @@ class TrainingConfig:
     """Restrict the forearms to the keys of the song, the other servos to postures near their rest,
     and normalise joint positions and actions by these ranges."""
     residual: bool = False
-    """Learn residual actions on top of a plan from inverse kinematics."""
+    """Learn residual actions on top of the planner's."""
+    plan_effort: float = 0.0
+    """Practise the plan that a residual policy corrects, as "cadenza practice" does."""
     eval_interval: int = 10_000
     """Environment steps between evaluations, which run in the background."""
     checkpoint_interval: float = 120.0
@@ -122,6 +125,7 @@ def _fast_residual() -> TrainingConfig:
         task=TaskConfig(),
         num_steps=500_000,
         num_envs=16,
+        plan_effort=1.0,
         learning_starts=2_000,
         train_freq=8,
         gradient_steps=10,
@@ -131,6 +135,7 @@ def _fast_residual() -> TrainingConfig:
 
 
 _RANGES: dict[str, tuple[float, float]] = {
+    "plan_effort": (0, MAX_EFFORT),
     "num_steps": (1, MAX_COUNT),
     "num_envs": (1, 10_000),
     "learning_starts": (0, MAX_COUNT),

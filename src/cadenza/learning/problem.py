@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
+from cadenza.agents.agent import Progress, silent
 from cadenza.learning.actions import ActionMapping, Reference, reference_of
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer, pruned
@@ -50,8 +51,12 @@ class Problem:
         return PianoTask([score], self.config.task, self.scene, num_envs)
 
 
-def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:
+def problem_of(
+    config: TrainingConfig, scores: Sequence[Score], progress: Progress = silent
+) -> Problem:
     """What a run with these options has to learn; whoever asks for it closes its task.
+
+    Reports the progress of the plan that a residual policy corrects.
 
     Raises CadenzaError if a song cannot be played, or an option makes no sense.
     """
@@ -77,13 +82,15 @@ def problem_of(config: TrainingConfig, scores: Sequence[Score]) -> Problem:
         goals,
         observation,
         inputs,
-        reference=_reference(config, scores, scene) if config.residual else None,
+        reference=_reference(config, scores, scene, progress) if config.residual else None,
         ranges=ranges_of(task) if config.song_range and task.scene.sides else None,
     )
 
 
-def _reference(config: TrainingConfig, scores: Sequence[Score], scene: SceneConfig) -> Reference:
+def _reference(
+    config: TrainingConfig, scores: Sequence[Score], scene: SceneConfig, progress: Progress
+) -> Reference:
     """What the planner plays where nothing is random, for a residual policy to correct."""
     undisturbed = replace(config.task, randomization=DomainRandomization())
     with closing(PianoTask(scores, undisturbed, scene)) as task:
-        return reference_of(task, config.seed)
+        return reference_of(task, config.seed, config.plan_effort, progress)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from cadenza.agents.agent import Progress, silent
 from cadenza.agents.rollout import play_episodes
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
@@ -50,14 +51,20 @@ class _Progress:
     updates: Count  # updates of the learner so far
 
 
-def begin(config: TrainingConfig, scores: Sequence[Score], folder: RunFolder) -> Training:
+def begin(
+    config: TrainingConfig,
+    scores: Sequence[Score],
+    folder: RunFolder,
+    progress: Progress = silent,
+) -> Training:
     """Begin a run in a folder, which holds none if it cannot be made.
 
-    Raises CadenzaError as `problem_of` does, and if the folder holds a run already.
+    Reports progress and raises CadenzaError as `problem_of`, and if the folder holds a run
+    already.
     """
     folder.begin(config, scores)
     try:
-        return Training(problem_of(config, scores), folder)
+        return Training(problem_of(config, scores, progress), folder)
     except CadenzaError:
         folder.manifest.unlink()
         raise

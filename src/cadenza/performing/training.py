@@ -61,7 +61,7 @@ def train(
     config = replace(config or preset("fast", residual), **options)
     scores = [load(each).written_for(config.scene.hands).score for each in songs]
     run = RunFolder(Path(folder))
-    with run.locked(), closing(begin(config, scores, run)) as training:
+    with run.locked(), closing(begin(config, scores, run, progress)) as training:
 
         def should_continue() -> bool:
             progress("learning", training.step, config.num_steps)

@@ -11,6 +11,8 @@ one core, and half of that on two."""
 PLANNING_TIMESTEPS = 1e-4, 0.1
 """Minimum and maximum [s], which keep rollouts short and the simulation stable."""
 
+MAX_EFFORT = 1e6
+
 
 @dataclass(frozen=True)
 class PredictiveSamplingConfig:

@@ -9,10 +9,10 @@ import numpy as np
 
 from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
 from cadenza.agents.lateness import EarlyPlanner, early
-from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.config import MAX_EFFORT, PlannerConfig
 from cadenza.agents.planner.context import PlanningContext
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
-from cadenza.agents.planner.practice.practice import MAX_EFFORT, Practice
+from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
 from cadenza.agents.planner.search.hand_process import HandProcess
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene

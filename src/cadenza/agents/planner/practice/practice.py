@@ -42,7 +42,6 @@ from cadenza.tasks.config import task_identity
 from cadenza.tasks.view import View
 
 EFFORT = 100  # control steps that each hand simulates for each step of the song at effort 1
-MAX_EFFORT = 1e6
 _FIRST_SWEEP, _SWEEP = 0.5, 1.0  # effort: the first sweep mends easy faults, and is over sooner
 _APART = 0.5  # [s] between passages
 _INTERVAL = 0.5  # [s] between snapshots, at which rollouts can begin
