@@ -225,7 +225,7 @@ def test_hands_that_were_pushed_search_for_what_sounded_before():
         pushed = played.copied()
         pushed.ctrl[first - 2 : first] += push * (-1.0) ** np.arange(pushed.ctrl.shape[1])
         start = {0: scene.at_start()}
-        _, snapshots = scene.roll_out(pushed, start, 0, first, every=first)
+        _, snapshots = scene.roll_out(pushed, start, 0, first, first)
         planned.follow(played, first, [np.random.default_rng(hand) for hand in range(2)])
         act = planned.search.act if search else None
         after, _ = scene.roll_out(played, snapshots, first, last, last, act)
