@@ -22,22 +22,22 @@ def summarize(folder: Path) -> Iterator[str]:
     """
     folder = dataset_folder(folder)
     episodes = finished(folder)
-    kept = [facts for _, facts in episodes if facts.kept]
+    kept_facts = [facts for _, facts in episodes if facts.kept]
     names = {at.name for at, _ in episodes}
-    there = (path for path in (folder / EPISODES).iterdir() if path.is_dir())
-    unfinished = sum(path.name not in names for path in there)
-    songs = {facts.song for facts in kept}
-    yield f"{counted(len(kept), 'episode')} of {counted(len(songs), 'song')} kept"
-    yield f"{len(episodes) - len(kept)} not kept, {unfinished} not finished"
-    yield _steps(kept)
-    if kept:
-        yield _spread("F1", [facts.f1 for facts in kept])
-        yield _spread("note onset F1", [facts.note_onset_f1 for facts in kept])
-        yield from _rewarded(kept)
-        yield f"{sum(facts.drawn['mirrored'] for facts in kept):,} mirrored"
-    there = (folder / part / file for part in (EPISODES, SONGS) for file in files_in(folder / part))
-    size = sum(file.lstat().st_size for file in there)
-    steps = sum(facts.num_steps for facts in kept)
+    folders = (path for path in (folder / EPISODES).iterdir() if path.is_dir())
+    unfinished = sum(path.name not in names for path in folders)
+    songs = {facts.song for facts in kept_facts}
+    yield f"{counted(len(kept_facts), 'episode')} of {counted(len(songs), 'song')} kept"
+    yield f"{len(episodes) - len(kept_facts)} not kept, {unfinished} not finished"
+    yield _steps(kept_facts)
+    if kept_facts:
+        yield _spread("F1", [facts.f1 for facts in kept_facts])
+        yield _spread("note onset F1", [facts.note_onset_f1 for facts in kept_facts])
+        yield from _rewarded(kept_facts)
+        yield f"{sum(facts.drawn['mirrored'] for facts in kept_facts):,} mirrored"
+    files = (folder / part / file for part in (EPISODES, SONGS) for file in files_in(folder / part))
+    size = sum(file.lstat().st_size for file in files)
+    steps = sum(facts.num_steps for facts in kept_facts)
     yield f"{size / _MIB:.1f} MiB, {size / max(steps, 1):,.0f} bytes a step"
     hours = sum(facts.cpu_seconds for _, facts in episodes) / 3600
     yield f"{hours:.2f} hours of one core to make"

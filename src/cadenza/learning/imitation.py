@@ -275,8 +275,8 @@ def _song_named(name: str, songs: Sequence[str]) -> str:
     if name in called:
         return name
     if not called:
-        there = ", ".join(map(name_without_ending, songs))
-        raise CadenzaError(f"songs: no demonstration of {name}; there is {there}")
+        names = ", ".join(map(name_without_ending, songs))
+        raise CadenzaError(f"songs: no demonstration of {name}; there is {names}")
     if len(called) > 1:
         raise CadenzaError(f"songs: {name} is {' and '.join(called)}; give one of these")
     return called[0]

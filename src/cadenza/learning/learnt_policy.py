@@ -69,15 +69,15 @@ class LearntPolicy:
         sees_the_same = self.observation == ObservationSpec.of(task, self.residual)
         if not sees_the_same:
             options += _CHANGE_WHAT_IS_OBSERVED
-        learnt, here = (
+        learnt, options_here = (
             vars(self.task) | vars(self.scene),
             vars(task.config) | vars(task.scene.config),
         )
         for option in options:
-            if option not in learnt or here[option] != learnt[option]:
+            if option not in learnt or options_here[option] != learnt[option]:
                 raise CadenzaError(
                     f"{name}: was trained with {option} {learnt.get(option)}, but here it is "
-                    f"{here[option]}; leave out that option, or train a new policy"
+                    f"{options_here[option]}; leave out that option, or train a new policy"
                 )
         if not sees_the_same:
             raise CadenzaError(

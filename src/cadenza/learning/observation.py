@@ -307,12 +307,12 @@ class Observer:
         """
         action = previous_action * self._scale + self._centre
         before = np.concatenate([action, previous_reward[..., None]], axis=-1)
-        others = [proprioception, np.where(first[..., None], np.float32(0), before)]
+        parts = [proprioception, np.where(first[..., None], np.float32(0), before)]
         if self._reference is not None:
-            others.append(self._reference[np.minimum(rows, len(self._reference) - 1)])
+            parts.append(self._reference[np.minimum(rows, len(self._reference) - 1)])
         if self._others is not None:
-            others = [np.concatenate(others, axis=-1)[..., self._others]]
+            parts = [np.concatenate(parts, axis=-1)[..., self._others]]
         goals = [self._goals.goals(rows, self._goal), self._goals.fingers(rows, self._fingers)]
         if len(self._onsets):
             goals.append(self._goals.onsets(rows, self._onsets))
-        return np.concatenate([*goals, *others], axis=-1)
+        return np.concatenate([*goals, *parts], axis=-1)

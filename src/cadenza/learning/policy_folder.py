@@ -86,14 +86,14 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
 
     Raises CadenzaError if there is no room; what the folder held is still there.
     """
-    own, arrays = learnt.policy.state()
+    metadata, arrays = learnt.policy.state()
     if learnt.learner is not None:
-        own = {"learner": learnt.learner, "policy": own}
+        metadata = {"learner": learnt.learner, "policy": metadata}
         arrays = {_POLICY + name: array for name, array in arrays.items()}
     facts = {
         "format": _FORMAT,
         "about": about,
-        **own,
+        **metadata,
         "observation": asdict(learnt.observation),
         "inputs": asdict(learnt.inputs),
         "task": asdict(learnt.task),

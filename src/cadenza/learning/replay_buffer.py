@@ -119,25 +119,25 @@ class ReplayBuffer:
     def _batch(self, env: Rows, column: Rows) -> Batch:
         frames, length = self._frames, self._shape[1]
         before, after = (env, (column - 1) % length), (env, (column + 1) % length)
-        here = (env, column)
+        frame = (env, column)
         observe = self._observer.observation
         action, reward = frames["action"], frames["reward"]
         return Batch(
             observation=observe(
-                frames["row"][here],
-                frames["proprioception"][here],
+                frames["row"][frame],
+                frames["proprioception"][frame],
                 action[before],
                 reward[before],
-                frames["first"][here],
+                frames["first"][frame],
             ),
-            action=action[here],
-            reward=reward[here],
-            discount=np.where(frames["terminated"][here], np.float32(0), np.float32(1)),
+            action=action[frame],
+            reward=reward[frame],
+            discount=np.where(frames["terminated"][frame], np.float32(0), np.float32(1)),
             next_observation=observe(
                 frames["row"][after],
                 frames["proprioception"][after],
-                action[here],
-                reward[here],
+                action[frame],
+                reward[frame],
                 np.zeros(len(env), bool),
             ),
         )

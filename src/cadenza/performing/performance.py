@@ -167,16 +167,16 @@ def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
 
     Raises CadenzaError if they would replace the song, or files that no performance has left there.
     """
-    there = [name for name in RESULTS if (folder / name).exists()]
-    for name in there:
+    existing = [name for name in RESULTS if (folder / name).exists()]
+    for name in existing:
         if song is not None and Path(song).exists() and (folder / name).samefile(song):
             raise CadenzaError(
                 f"{song}: would be replaced by what is played; choose another folder with --output"
             )
-    if there and not _are_results(folder):
+    if existing and not _are_results(folder):
         raise CadenzaError(
-            f"{folder}: holds {', '.join(there)} from something else; choose another folder with "
-            "--output"
+            f"{folder}: holds {', '.join(existing)} from something else; choose another folder "
+            "with --output"
         )
 
 

@@ -103,8 +103,8 @@ class Practising:
         score = self._setup.score.with_fingers(note.finger for note in notes)
         self._setup.task.draw_from([score])
         settings, agent = self._setup.settings, options_name(self._setup.settings["agent"])
-        made = {agent: settings[agent] | {"effort": round(self.practice.effort, 2)}}
-        return replace(self._setup, agent=hands, score=score, settings=settings | made)
+        settings_made = {agent: settings[agent] | {"effort": round(self.practice.effort, 2)}}
+        return replace(self._setup, agent=hands, score=score, settings=settings | settings_made)
 
 
 def _played(tracking: Tracking, performance: Performance) -> Tracking:

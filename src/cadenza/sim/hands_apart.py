@@ -48,8 +48,8 @@ class HandsApart:
 
     def randomize(self, env_id: int, factors: Factors) -> None:
         for rows, part in zip(self._rows, self._parts, strict=True):
-            own = {name: factor[rows.get(name, ...)] for name, factor in factors.items()}
-            part.randomize(env_id, own)
+            by_name = {name: factor[rows.get(name, ...)] for name, factor in factors.items()}
+            part.randomize(env_id, by_name)
         if KEY_SOUNDING in factors:
             self._sounds_from[env_id] = self.scene.keyboard.sounds_from * factors[KEY_SOUNDING]
 

@@ -176,13 +176,13 @@ class WarpPhysics:
             before = jnp.asarray(held.ctrl, jnp.float32)
             late = jnp.arange(self.num_substeps)[:, None] < held.substeps
             path = jnp.where(late[..., None], before, path)
-        others = [jnp.asarray((models or {})[name], jnp.float32) for name in self._fields]
+        inputs = [jnp.asarray((models or {})[name], jnp.float32) for name in self._fields]
         if self._pushed:
             num_bodies = self.scene.model.nbody
             pushes: Any = jnp.zeros((self.num_envs, num_bodies, 3)) if force is None else force
-            others.append(jnp.pad(pushes, ((0, 0), (0, 0), (0, 3))).astype(jnp.float32))
+            inputs.append(jnp.pad(pushes, ((0, 0), (0, 0), (0, 3))).astype(jnp.float32))
         begin = physics.qpos, physics.qvel, physics.warmstart
-        result = dict(zip(self._outputs, self._simulate(*begin, path, *others), strict=True))
+        result = dict(zip(self._outputs, self._simulate(*begin, path, *inputs), strict=True))
         qpos, qvel, ways = result["qpos"], result["qvel"], result["qpos_path"]
         overflow = physics.overflow | (result["overflow"] & int(_LOST))
         sound = (abs(qpos) < _DIVERGED).all(-1) & (abs(qvel) < _DIVERGED).all(-1)

@@ -102,8 +102,8 @@ def _check_options(config: TaskConfig) -> None:
     for name in ("control_timestep", "fingering_margin"):
         if not (value := getattr(config, name)) > 0:
             raise CadenzaError(f"{name} {value}: choose more than 0")
-    given = {name: most for name, most in _MAXIMUM.items() if getattr(config, name) is not None}
-    check_ranges(config, {name: (0, most) for name, most in given.items()})
+    maxima = {name: most for name, most in _MAXIMUM.items() if getattr(config, name) is not None}
+    check_ranges(config, {name: (0, most) for name, most in maxima.items()})
 
 
 def _check_duration(seconds: float, config: TaskConfig) -> None:

@@ -70,10 +70,10 @@ class DeviceRandomization:
         factors = ({name: draws[name] for name in ranges.of_model} for draws in drawn)
         models = scaled_fields(scene, factors) if ranges.of_model else {}
         self._models: dict[str, Any] = {n: jnp.asarray(values) for n, values in models.items()}
-        kept = (*SERVO_RANGES, BIAS, GRAVITY_TILT, KEY_SOUNDING)
+        names = (*SERVO_RANGES, BIAS, GRAVITY_TILT, KEY_SOUNDING)
         self._drawn: dict[str, Any] = {
             name: jnp.asarray(np.stack([draws[name] for draws in drawn]), jnp.float32)
-            for name in kept
+            for name in names
             if name in ranges.shapes
         }
         for name in (LATENCY, OBSERVATION_LATENCY):

@@ -187,8 +187,8 @@ class DmEnvAdapter(dm_env.Environment):
         if not self._episodes:
             raise CadenzaError("no episode has ended: step until timestep.last()")
         values = {n: [each[n] for each in self._episodes] for n in self._episodes[0]}
-        known = {n: [v for v in each if not np.isnan(v)] for n, each in values.items()}
-        return {name: float(np.mean(each)) for name, each in known.items() if each}
+        numbers = {n: [v for v in each if not np.isnan(v)] for n, each in values.items()}
+        return {name: float(np.mean(each)) for name, each in numbers.items() if each}
 
     @property
     def physics(self) -> Any:

@@ -86,10 +86,10 @@ class DrawRanges:
             config.slide_noise, config.joint_noise, config.key_noise, config.touch_noise
         )
         self.bias = self._of_senses(config.slide_bias, config.joint_bias, 0.0, config.touch_bias)
-        own = {**dict.fromkeys(SERVO_RANGES, self.low.shape), GRAVITY_TILT: (2,), LATENCY: ()}
+        of_task = {**dict.fromkeys(SERVO_RANGES, self.low.shape), GRAVITY_TILT: (2,), LATENCY: ()}
         of_scene = shapes(scene)
         self.of_model = tuple(filter(self._is_on, of_scene))
-        self.shapes = {n: s for n, s in (of_scene | own).items() if self._is_on(n)}
+        self.shapes = {n: s for n, s in (of_scene | of_task).items() if self._is_on(n)}
         if self.bias.any():
             self.shapes[BIAS] = self.bias.shape
         if self._is_on(OBSERVATION_LATENCY):
@@ -188,6 +188,6 @@ def _check(config: DomainRandomization) -> None:
                 f"{least:g} to {most:g}"
             )
     numbers = {name: (0.0, most) for name, most in _MAX_NUMBER.items()}
-    given = (name for name in (SEED, "robot") if getattr(config, name) is not None)
-    numbers |= dict.fromkeys(given, (0, MAX_COUNT))
+    seeds = (name for name in (SEED, "robot") if getattr(config, name) is not None)
+    numbers |= dict.fromkeys(seeds, (0, MAX_COUNT))
     check_ranges(config, numbers, _PREFIX)

@@ -244,7 +244,7 @@ class PianoVectorEnv(VectorEnv):
 
     def _starts(self, options: Mapping[str, Any]) -> list[EpisodeStart]:
         """(N,) starts of the episodes, as far as the options of a reset fix them."""
-        given = (self._each(name, options.get(name)) for name in _EPISODE_OPTIONS)
+        values = (self._each(name, options.get(name)) for name in _EPISODE_OPTIONS)
         shape = self.task.scene.hand_start.shape
         demand = f"give a finite number for each of the hands' joints, {shape}"
         return [
@@ -254,7 +254,7 @@ class PianoVectorEnv(VectorEnv):
                 0 if step is None else whole_number(step, "step", 0, MAX_COUNT),
                 None if drawn is None else whole_number(drawn, "randomization", 0, MAX_COUNT),
             )
-            for song, score, step, start, drawn in zip(*given, strict=True)
+            for song, score, step, start, drawn in zip(*values, strict=True)
         ]
 
     def _song(self, song: Any, score: Any) -> int | GoalTrack | None:

@@ -56,15 +56,15 @@ _ELSEWHERE = {
 def hint(name: str, value: Any) -> str | None:
     """What a published option with this value is here; None if RoboPianist has no such option."""
     if name in _WITHOUT_EFFECT:
-        here = "not needed"
+        answer = "not needed"
     elif name in _ELSEWHERE:
-        here = _ELSEWHERE[name]
+        answer = _ELSEWHERE[name]
     elif name in _RENAMED:
         options = _RENAMED[name](value).items()
-        here = ", ".join(f"{n}={v!r}" for n, v in options) or "the default"
+        answer = ", ".join(f"{n}={v!r}" for n, v in options) or "the default"
     else:
         return None
-    return f"RoboPianist's {name}={quoted(value)} is {here} here; {_PAGE}"
+    return f"RoboPianist's {name}={quoted(value)} is {answer} here; {_PAGE}"
 
 
 def translated(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -122,8 +122,8 @@ class Randomization:
     def per_env(self) -> list[Any]:
         """Arrays and lists of what each environment has of its own, without its simulation."""
         late = [self._sent] if LATENCY in self.drawn else []
-        own = [self._control_rngs, self._push_rngs, self._latency_steps, self._setpoint]
-        return [*self.drawn.values(), *late, *own, *self._senses.per_env]
+        arrays = [self._control_rngs, self._push_rngs, self._latency_steps, self._setpoint]
+        return [*self.drawn.values(), *late, *arrays, *self._senses.per_env]
 
     # In each step
 

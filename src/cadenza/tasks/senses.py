@@ -73,8 +73,8 @@ class Senses:
     @property
     def per_env(self) -> list[Any]:
         """Arrays and lists of what each environment has of its own."""
-        own = [self._offset, self._bias, self._wandered, self._rngs, self._late, self._heard]
-        return [*own, *self._history]
+        arrays = [self._offset, self._bias, self._wandered, self._rngs, self._late, self._heard]
+        return [*arrays, *self._history]
 
     def begin(self, env: int, seed: int, drawn: Mapping[str, Array]) -> None:
         """Begin an episode with what was `drawn` for it; noise and drift follow from `seed`."""

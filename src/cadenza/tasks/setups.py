@@ -65,8 +65,8 @@ class NamedSetup:
 
     def __post_init__(self) -> None:
         """Check the names of options; raises CadenzaError if no configuration has one."""
-        known = {*self.of(SceneConfig), *self.of(TaskConfig)}
-        if unknown := sorted(self.options.keys() - known):
+        names = {*self.of(SceneConfig), *self.of(TaskConfig)}
+        if unknown := sorted(self.options.keys() - names):
             raise CadenzaError(
                 f"setup: there is no option {quoted(unknown[0])} of a scene or a task"
             )

@@ -64,8 +64,8 @@ class UnknownRobotEnv(PianoEnv):
         """Take a control step, as `gymnasium.Env.step`."""
         observation, reward, terminated, truncated, info = super().step(action)
         scored = self._play > PLAYS
-        told = (terminated, truncated, self._told(info))
-        return self._seen(observation), reward if scored else 0.0, *told
+        result = (terminated, truncated, self._told(info))
+        return self._seen(observation), reward if scored else 0.0, *result
 
     def get_state(self) -> Any:
         """Raise a CadenzaError: a real robot cannot go back to where it was."""
