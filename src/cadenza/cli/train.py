@@ -149,6 +149,7 @@ def _title(scores: Sequence[Score]) -> str:
 
 
 def _train(command: Train, folder: Path) -> None:
+    from cadenza.learning.policy_folder import load_policy
     from cadenza.learning.problem import problem_of
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training, begin
@@ -171,7 +172,8 @@ def _train(command: Train, folder: Path) -> None:
             else:
                 run.set_end(command.training)
                 config, scores = run.settings()
-                training = Training(problem_of(config, scores, reporter), run)
+                saved = load_policy(last).reference if (last := folder / "last").is_dir() else None
+                training = Training(problem_of(config, scores, reporter, saved), run)
         title = _title(scores)
         with closing(training):
             finished = _train_until_stopped(training, command, run, title)

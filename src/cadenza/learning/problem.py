@@ -52,11 +52,14 @@ class Problem:
 
 
 def problem_of(
-    config: TrainingConfig, scores: Sequence[Score], progress: Progress = silent
+    config: TrainingConfig,
+    scores: Sequence[Score],
+    progress: Progress = silent,
+    reference: Reference | None = None,
 ) -> Problem:
     """What a run with these options has to learn; whoever asks for it closes its task.
 
-    Reports the progress of the plan that a residual policy corrects.
+    A residual policy corrects the `reference`, or else a new plan, whose progress is reported.
 
     Raises CadenzaError if a song cannot be played, or an option makes no sense.
     """
@@ -68,6 +71,8 @@ def problem_of(
     scene = replace(config.scene, engine="c")
     task = PianoTask(scores, config.task, scene, num_envs, threads)
     goals = GoalTable(task.spec, task.tracks)
+    if config.residual and reference is None:
+        reference = _reference(config, scores, scene, progress)
     observation = ObservationSpec.of(task.spec, config.residual)
     prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
     inputs = pruned(observation, *goals.ever_wanted()) if prune else observation.inputs
@@ -82,7 +87,7 @@ def problem_of(
         goals,
         observation,
         inputs,
-        reference=_reference(config, scores, scene, progress) if config.residual else None,
+        reference=reference,
         ranges=ranges_of(task) if config.song_range and task.scene.sides else None,
     )
 
