@@ -183,7 +183,7 @@ class WarpPhysics:
             inputs.append(jnp.pad(pushes, ((0, 0), (0, 0), (0, 3))).astype(jnp.float32))
         begin = physics.qpos, physics.qvel, physics.warmstart
         result = dict(zip(self._outputs, self._simulate(*begin, path, *inputs), strict=True))
-        qpos, qvel, ways = result["qpos"], result["qvel"], result["qpos_path"]
+        qpos, qvel = result["qpos"], result["qvel"]
         overflow = physics.overflow | (result["overflow"] & int(_LOST))
         sound = (abs(qpos) < _DIVERGED).all(-1) & (abs(qvel) < _DIVERGED).all(-1)
         sound &= jnp.isfinite(path).all((0, -1))
@@ -191,12 +191,12 @@ class WarpPhysics:
         rest = self.start(jnp.asarray(self.scene.hand_start, jnp.float32))
         reached = Physics(qpos, qvel, result["warmstart"], unstable, overflow)
         if self._keeps_path:
-            sensors = result.get("sensor_path", ways[..., :0])
-            way = self._path(ways, result["qvel_path"], sensors)
-            reached = reached._replace(path=way)
+            ways = result["qpos_path"], result["qvel_path"]
+            sensors = result.get("sensor_path", ways[0][..., :0])  # of a model without any
+            reached = reached._replace(path=self._path(*ways, sensors))
         kept = where(unstable, rest, reached)._replace(unstable=unstable, overflow=overflow)
         keys = self.scene.key_qpos
-        key_path: Any = jnp.concatenate([physics.qpos[:, None, keys], ways[..., keys]], axis=1)
+        key_path: Any = jnp.concatenate([physics.qpos[:, None, keys], result["key_path"]], axis=1)
         sounds_from = (self.scene.keyboard.sounds_from * jnp.asarray(depth))[..., None, :]
         onset, offset, speed = dense_key_events(key_path, sounds_from, self._substep)
         num_fingers, there = self.scene.fingers.count, self.scene.present_fingers
@@ -235,7 +235,8 @@ class WarpPhysics:
     def _make_simulate(self) -> Any:
         """The function from states and controls to what is simulated, which JAX can call."""
         num_envs, model = self.num_envs, _awake(self.scene.model)
-        num_substeps, watched, buffers = self.num_substeps, self._watch_forearms, self._buffers
+        keys, num_substeps = self.scene.key_qpos, self.num_substeps
+        watched, buffers = self._watch_forearms, self._buffers
         device = wp.get_device("cuda:0" if self._on_gpu else "cpu")
         with wp.ScopedDevice(device):
             m = mjw.put_model(model)
@@ -260,7 +261,8 @@ class WarpPhysics:
             wp.copy(d.qvel, qvel)
             wp.copy(d.qacc_warmstart, warmstart)
             d.overflow.zero_()
-            paths = {"qpos_path": d.qpos, "qvel_path": d.qvel, "sensor_path": d.sensordata}
+            paths = {"key_path": d.qpos[:, keys], "qpos_path": d.qpos, "qvel_path": d.qvel}
+            paths |= {"sensor_path": d.sensordata}
             for substep in range(num_substeps):
                 wp.copy(d.ctrl, ctrl[substep])
                 mjw.step(m, d)
@@ -294,11 +296,10 @@ class WarpPhysics:
             "geoms": (wp.array2d(dtype=wp.vec3), (num_envs, model.ngeom)),
             "sites": (wp.array2d(dtype=wp.vec3), (num_envs, model.nsite)),
         }
-        ways = {"qpos_path": model.nq}
+        ways = {"key_path": keys.stop - keys.start}
         if self._keeps_path:
-            ways |= {"qvel_path": model.nv}
-        if self._keeps_path and model.nsensordata:
-            ways |= {"sensor_path": model.nsensordata}
+            ways |= {"qpos_path": model.nq, "qvel_path": model.nv}
+            ways |= {"sensor_path": model.nsensordata} if model.nsensordata else {}
         for name, size in ways.items():
             shapes[name] = wp.array3d(dtype=float), (num_envs, num_substeps, size)
         if watched:

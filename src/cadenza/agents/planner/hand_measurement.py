@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 _ABOVE = 0.003  # [m] from the keys to fingers that do not press
 _TOLERANCE = 0.003  # [m]
 _QUICK = 0.05  # [s] the same of a servo that strikes in time
-_LEAST_DAMPED = 0.7  # of critical damping, below which servos overshoot
+_MIN_DAMPING_RATIO = 0.7  # below which servos overshoot
 _SLOW = 0.07  # [s] damping by stiffness, above which the planner does not time strikes
 _STEP = 0.0025  # [m] between the distances to try
 _STARTS = 3
@@ -256,7 +256,7 @@ class ReachMeasurement:
         """Yield a line on the servos of fingers that overshoot, with gains at which none would."""
         servos = self._kinematics.servos
         critical = 2 * np.sqrt(servos.stiffness * servos.inertia)
-        is_swinging = (servos.finger >= 0) & (servos.damping < _LEAST_DAMPED * critical)
+        is_swinging = (servos.finger >= 0) & (servos.damping < _MIN_DAMPING_RATIO * critical)
         if is_swinging.any():
             heaviest = int(np.argmax(np.where(is_swinging, servos.inertia, 0.0)))
             inertia, least = servos.inertia[heaviest], 4 * servos.inertia[heaviest] / _QUICK**2

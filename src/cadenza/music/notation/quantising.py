@@ -75,7 +75,7 @@ def are_exact(onsets: Sequence[float], metre: Metre) -> bool:
 
 
 def on_grid(onsets: Sequence[float], metre: Metre) -> list[bool]:
-    """Which `onsets` [ticks] are where notation has them."""
+    """Find which `onsets` [ticks] are on the grid of the usual note values."""
     ticks = metre.ticks.tolist()
     are_on_grid = []
     for onset in onsets:

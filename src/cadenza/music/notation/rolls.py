@@ -8,10 +8,10 @@ from cadenza.music.notation.metre import QUARTER
 from cadenza.music.notation.voices import Timed
 from cadenza.music.score import CHORD_TOLERANCE
 
-_LEAST_STEP, _MAX_STEP = 0.02, 0.08  # [s] from a note of a rolled chord to the next
+_MIN_STEP, _MAX_STEP = 0.02, 0.08  # [s] from a note of a rolled chord to the next
 _MAX_LENGTH = 0.4  # [s] from the first to the last
 _HELD = 0.1  # [s] for which all sound on after the last has begun
-_FEWEST = 3  # notes of a chord that has the sign for it
+_MIN_NOTES = 3  # notes of a chord that has the sign for it
 
 
 class Roll(NamedTuple):
@@ -44,7 +44,7 @@ def unrolled(
             arpeggiated.update(chord)
             for i in chord:
                 together[i] = timed[i]._replace(onset=onset)
-                if len(chord) >= _FEWEST:
+                if len(chord) >= _MIN_NOTES:
                     is_up = notes[-1].note.pitch > notes[0].note.pitch
                     rolls[id(timed[i].note)] = Roll(is_up, of_both)
     return together, rolls
@@ -77,7 +77,7 @@ def _is_roll(run: Sequence[Timed], of_both: bool) -> bool:
     starts = [each.note.start for each in run]
     if of_both:
         steps = (b - a for a, b in pairwise(starts))
-        return len(run) >= _FEWEST and min(steps) >= _LEAST_STEP
+        return len(run) >= _MIN_NOTES and min(steps) >= _MIN_STEP
     return starts[-1] - starts[0] > CHORD_TOLERANCE
 
 
