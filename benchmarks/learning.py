@@ -95,7 +95,7 @@ def gather(score: Score) -> Experience:
     task, rng = PianoTask([score], PAPERS), np.random.default_rng(0)
     scores = GoalTable(task.spec, task.tracks)
     spec = ObservationSpec.of(task.spec)
-    inputs, short_inputs = spec.inputs, pruned(spec, *scores.ever_wanted())
+    inputs, short_inputs = spec.inputs, pruned(spec, *scores.goals_used())
     observer = Observer(task.spec, scores, inputs)
     actions = task.spec.action_size
     played = ReplayBuffer(observer, 1, 2 * PLAYED, actions)

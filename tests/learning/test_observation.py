@@ -76,7 +76,7 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task):
 
 def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task):
     scores = GoalTable(task.spec, task.tracks)
-    inputs = pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
+    inputs = pruned(ObservationSpec.of(task.spec), *scores.goals_used())
     observer = Observer(task.spec, scores, inputs)
     whole = Observer(task.spec, scores)
     kept = np.array(inputs.kept)
@@ -95,7 +95,7 @@ def test_every_input_that_is_kept_of_the_goal_is_used():
     """One song asks for a key in all steps ahead for which it is kept."""
     task = PianoTask([SONGS[0]])
     scores = GoalTable(task.spec, task.tracks)
-    inputs = pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
+    inputs = pruned(ObservationSpec.of(task.spec), *scores.goals_used())
     acting = Acting(task, scores)
     seen = np.zeros(task.spec.observation_size, bool)
     seen[task.spec.observation_layout["key_state"].start :] = True
@@ -187,7 +187,7 @@ def test_scores_of_many_rows_are_looked_up_together():
     task = PianoTask(SONGS)
     scores = GoalTable(task.spec, task.tracks)
     observer = Observer(
-        task.spec, scores, pruned(ObservationSpec.of(task.spec), *scores.ever_wanted())
+        task.spec, scores, pruned(ObservationSpec.of(task.spec), *scores.goals_used())
     )
     rng = np.random.default_rng(0)
     rows = rng.integers(8, size=(2, 5))

@@ -57,7 +57,7 @@ def some_policy(
     shown = PianoTask([SONG], config, scene)
     scores = GoalTable(shown.spec, shown.tracks)
     observation = ObservationSpec.of(shown.spec, residual)
-    inputs = pruned(observation, *scores.ever_wanted()) if prune else observation.inputs
+    inputs = pruned(observation, *scores.goals_used()) if prune else observation.inputs
     sizes = len(inputs.kept), shown.spec.action_size, 16, 16
     policy = random_policy(*sizes, activation="gelu", size=0.2)
     reference = reference_of(shown) if residual else None

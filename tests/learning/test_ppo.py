@@ -19,7 +19,7 @@ from cadenza.learning.algorithms.ppo.learner import PPO, Normalisation, clipped_
 from cadenza.learning.collector import Collector
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.device_rollouts import DeviceRollouts
-from cadenza.learning.learner import EnvRollout
+from cadenza.learning.env_rollout import EnvRollout
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
 from cadenza.learning.on_policy import HostRollouts
 from cadenza.learning.policy_folder import load_policy

@@ -11,8 +11,8 @@ import pytest
 from rl_examples import TINY, melody
 
 from cadenza.errors import CadenzaError
-from cadenza.learning.checkpointed_run import MetricsLog
 from cadenza.learning.config import TrainingConfig
+from cadenza.learning.metrics_log import MetricsLog
 from cadenza.learning.run_folder import RunFolder
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig

@@ -25,7 +25,7 @@ from cadenza.music.libraries.library import load_score, open_library
 from cadenza.music.score import Score
 
 if TYPE_CHECKING:
-    from cadenza.learning.algorithms.generalist.excerpts import ExcerptRun
+    from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
 
 
 @dataclass(frozen=True)

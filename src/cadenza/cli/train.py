@@ -303,7 +303,7 @@ def _title_and_settings(run: Path) -> list[str]:
 
 
 def _curve(run: Path) -> Curve:
-    from cadenza.learning.checkpointed_run import MetricsLog
+    from cadenza.learning.metrics_log import MetricsLog
     from cadenza.report.training_page import Curve
 
     rows = MetricsLog(run).rows()

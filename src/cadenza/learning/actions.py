@@ -1,4 +1,4 @@
-"""Maps a policy's actions in [-1, 1] to controls: scales them, or adds them to a plan.
+"""The map from a policy's actions in [-1, 1] to controls: scaled, or added to a plan.
 
 A residual policy corrects a reference: what the planner plays, tracked with feedback.
 """
@@ -36,7 +36,7 @@ notes before it wins any.
 class Reference(NamedTuple):
     """A performance of T steps with A servos, and how far it may be corrected.
 
-    In double precision, as the same controls are to play the same notes.
+    Arrays are in double precision, so that the same controls play the same notes.
     """
 
     ctrl: Array  # (T, A) [m, rad]
@@ -82,9 +82,9 @@ def reference_of(
 def check_one_score(config: TaskConfig) -> None:
     """Raise a CadenzaError if the task changes the score or the start at random."""
     names = ("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift")
-    if drawn := [name for name in names if getattr(config, name)]:
+    if random := [name for name in names if getattr(config, name)]:
         raise CadenzaError(
-            f"a residual policy corrects one plan of one score: leave out {', '.join(drawn)}, or "
+            f"a residual policy corrects one plan of one score: leave out {', '.join(random)}, or "
             "learn from nothing (--no-residual)"
         )
 
@@ -103,7 +103,7 @@ class ActionMapping:
     def __init__(
         self, task: TaskSpec, reference: Reference | None = None, ranges: Ranges | None = None
     ) -> None:
-        """Correct a reference if there is one, else scales to `ranges` or to those of the task."""
+        """Correct a reference if there is one, or else scale to `ranges` or those of the task."""
         self._reference, self.reference = reference, None
         self._pedal_as_written = not task.config.sustain_term
         self._scaled = ranges.ctrl if ranges else task.scale_action

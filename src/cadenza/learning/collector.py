@@ -1,4 +1,4 @@
-"""Steps N environments, and collects experience in them for the replay buffer."""
+"""Collection of experience in N environments, for the replay buffer."""
 
 from typing import Any, NamedTuple
 
@@ -35,7 +35,7 @@ class Collector:
     """Gather experience in N environments.
 
     Attributes:
-        observation: (N, D) what they show now.
+        observation: The policy's present observations (N, D).
     """
 
     observation: Floats

@@ -74,9 +74,9 @@ def preset(
     paper: the table of the paper, in its task. published: the same with what the published run
     script sets differently, and the reward terms for pedal and forearms. Both tasks are those of
     the setups of the same names. fast: for few cores, in the default task, changed by `otherwise`
-    (`NamedSetup.training`). With `residual` a run learns small corrections of a plan; None is what
-    was measured to be best: to do so with the preset fast of DroQ, without such changes. Raises
-    CadenzaError if there is no `learner` of this name.
+    (`NamedSetup.training`). With `residual` a run learns small corrections of a plan; by default it
+    does so where that was measured to be better: with the preset fast of DroQ, without such
+    changes. Raises CadenzaError if there is no `learner` of this name.
     """
     if residual is None:
         residual = name == "fast" and learner == DROQ and not otherwise
@@ -94,12 +94,12 @@ def preset(
 
 
 def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
-    """`config` with those of `options` that it or its learner has."""
-    own, its = (
+    """Apply the options that `config` or its learner has."""
+    own, learners = (
         {f.name: options[f.name] for f in fields(each) if f.name in options}
         for each in (config, config.learner)
     )
-    return replace(config, learner=replace(config.learner, **its), **own)
+    return replace(config, learner=replace(config.learner, **learners), **own)
 
 
 def _fast() -> TrainingConfig:
@@ -149,7 +149,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 }
 
 _OFF_POLICY = {"learning_starts": 0, "parallel": False, "buffer_size": TrainingConfig.buffer_size}
-"""Options that an on-policy learner has no use for, as they then have to be."""
+"""Options that on-policy learners do not use, with the values that they must then have."""
 
 
 def check(config: TrainingConfig) -> None:

@@ -1,4 +1,4 @@
-"""Keeps runs of training to CPU cores of their own, so that several run side by side."""
+"""Training runs on CPU cores of their own, so that several run side by side."""
 
 import errno
 import os
@@ -17,10 +17,10 @@ from cadenza.files import locked_file
 def claimed_cores(number: int) -> Iterator[set[int]]:
     """Keep this process and the threads that it starts to cores that no other run has claimed.
 
-    Yields fewer than `number` cores where fewer are left. Where none is, it yields none and shares
-    one, that of the fewest runs, and says so on standard error. A claim ends with the process,
-    however it ends. Nothing happens where a system cannot keep processes to cores, or has no folder
-    for claims that nobody else can write to.
+    Yields fewer than `number` cores where fewer are left. Where none is left, it yields none,
+    shares the core with the fewest runs, and says so on standard error. A claim ends with the
+    process, however it ends. Nothing happens where a system cannot keep processes to cores, or has
+    no folder for claims that only this user can write to.
     """
     if not hasattr(os, "sched_setaffinity"):
         yield set()
@@ -58,7 +58,7 @@ def _claims_folder() -> Path:
 
 
 def _claims(folder: Path, stack: ExitStack, cores: set[int], share: int) -> Iterator[int]:
-    """Claim cores one by one whose `share` nobody has, until `stack` ends; or raise OSError."""
+    """Claim cores one by one whose `share` is free, until `stack` ends; raises OSError."""
     for core in sorted(cores):
         if stack.enter_context(locked_file(folder / f"{core}.{share}")):
             yield core

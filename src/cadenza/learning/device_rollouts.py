@@ -1,4 +1,4 @@
-"""Collects rollouts of the task on JAX's device; no array crosses to the host within one."""
+"""Rollouts of the task on JAX's device; no array crosses to the host within one."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,8 +10,9 @@ import numpy as np
 from cadenza.learning.algorithms.on_jax import from_arrays, to_arrays
 from cadenza.learning.collector import Finished
 from cadenza.learning.config import TrainingConfig
+from cadenza.learning.env_rollout import EnvRollout
 from cadenza.learning.experience import Chunk
-from cadenza.learning.learner import EnvRollout, OnPolicyLearner
+from cadenza.learning.learner import OnPolicyLearner
 from cadenza.learning.observation import Inputs
 from cadenza.learning.on_policy import MAX_SEED, RolloutExperience
 from cadenza.learning.ranges import Ranges
@@ -51,8 +52,9 @@ class DeviceRollouts(RolloutExperience):
     ) -> None:
         """Begin no episode yet.
 
-        The policy observes `inputs`, all of them the task's own, scaled by `ranges`, if not the
-        task's. Environments draw from `rng`; for `sample_rng` see `RolloutExperience`.
+        The policy observes `inputs`, all from the task's observation. `ranges` scale joints and
+        actions; None leaves the task's scale. Environments draw from `rng`; for `sample_rng` see
+        `RolloutExperience`.
         """
         super().__init__(config, sample_rng)
         self._task, self._ranges = task, ranges
@@ -107,17 +109,17 @@ class DeviceRollouts(RolloutExperience):
         return progress, EnvRollout._make([*parts, last]), ends
 
     def _observed(self, observation: Array) -> Array:
-        """What the policy observes of the task's observations (N, D)."""
+        """The policy's observations, from the task's observations (N, D)."""
         if self._ranges is not None:
             joints = self._ranges.scaled(observation[:, self._joints])
             observation = observation.at[:, self._joints].set(joints)
         return observation[:, self._kept]
 
     def _action(self, action: Array, observation: Array) -> Array:
-        """The task's actions from those of the policy, both (N, A) in [-1, 1].
+        """The task's actions from the policy's actions, both (N, A) in [-1, 1].
 
-        The pedal is that of the score, as in `ActionMapping`: `observation` (N, D) has it behind
-        the first keys.
+        The pedal is the score's, as in `ActionMapping`: in `observation` (N, D) it comes after the
+        keys of the next step.
         """
         if self._ranges is not None:
             action = self._task.spec.unscale_action(self._ranges.ctrl(action))

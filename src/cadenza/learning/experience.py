@@ -1,4 +1,4 @@
-"""Sources of experience: what a run asks of one, and the one that keeps all in a replay buffer."""
+"""The protocol of sources of experience, and the source with a replay buffer."""
 
 import re
 from collections.abc import Sequence
@@ -25,8 +25,8 @@ _CHUNK = r"\d{12,}\.\d+\.npz"  # names of files of experience; others are left a
 _MAX_HEADERS = 2**12  # bytes, of the arrays of experience
 
 Round = tuple[Any, dict[str, Any], list[Finished]]
-"""The learner's state after a round; metrics (U,) by name of each update, empty if there was none;
-and the episodes that ended."""
+"""The learner's state after a round, metrics (U,) of its updates by name, and the episodes that
+ended. The metrics are empty if there was no update."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Chunk:
 
 
 class Experience(Protocol):
-    """N environments that give experience, by which a learner improves its policy in rounds."""
+    """N environments whose experience a learner improves its policy by, in rounds."""
 
     def begin(self) -> None:
         """Begin an episode in every environment."""
@@ -126,9 +126,9 @@ class ReplayExperience:
                 path.unlink()
 
     def restore(self, plain: dict[str, Any], arrays: Arrays, chunks: Sequence[Chunk]) -> None:
-        most = self._replay.num_bytes + _MAX_HEADERS
+        max_bytes = self._replay.num_bytes + _MAX_HEADERS
         for chunk in chunks:
-            frames = read_arrays(self._folder / chunk.file, ANY, most)
+            frames = read_arrays(self._folder / chunk.file, ANY, max_bytes)
             rows = frames["row"]
             if len(rows) and not 0 <= rows.min() <= rows.max() < self._goals.num_rows:
                 raise CadenzaError(f"{chunk.file}: experience of other scores; start a new run")

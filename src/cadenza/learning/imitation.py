@@ -1,4 +1,4 @@
-"""Trains a policy for many songs on demonstrations, to be stopped and resumed at any moment.
+"""Training of a policy for many songs on demonstrations.
 
 RUN/run.json also names the episodes that are learnt from, and RUN/last/ is the policy of the
 checkpoint. The other files are those of `checkpointed_run`.
@@ -32,9 +32,9 @@ from cadenza.resumable import Arrays
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
-_UPDATES_AT_ONCE = 20  # between two questions whether to go on
+_UPDATES_AT_ONCE = 20  # before the run may be stopped
 _MAX_HELD_OUT = 5_000  # steps on which the error on held-out demonstrations is measured
-_MAX_CACHED = 2**30  # bytes of examples; of more, those of each update are made anew
+_MAX_CACHED = 2**30  # bytes of examples; larger sets are computed anew for each update
 _CACHED_AT_ONCE = 4_096  # examples
 _LEARNT_FROM, _HELD_OUT = "learnt_from", "held_out"  # in run.json: names of episodes
 _MIN_RANGE = 0.05  # of a joint's or a servo's range, where demonstrations hardly move it
@@ -74,8 +74,10 @@ class Imitation(CheckpointedRun):
         learnt_from, held_out = self._split(recorded)
         episodes = {episode.folder.name: episode for episode in recorded}
         names = (*learnt_from, *held_out)
-        if lost := set(names) - episodes.keys():
-            raise CadenzaError(f"{demonstrations}: {min(lost)} is gone, which the run learns from")
+        if missing := set(names) - episodes.keys():
+            raise CadenzaError(
+                f"{demonstrations}: {min(missing)} is gone, which the run learns from"
+            )
         scene = Dataset([episodes[name] for name in names]).scene  # or says what differs
         self._dataset = Dataset([episodes[name] for name in learnt_from])
         self.songs = tuple(sorted({episode.facts.song for episode in self._dataset.episodes}))
@@ -90,7 +92,7 @@ class Imitation(CheckpointedRun):
         with closing(PianoTask([first.score], self._task, first.facts.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
-        for name in names:  # anew, as what is read of both arrays holds open files
+        for name in names:  # read again, as arrays that stay read hold files open
             check_values(RecordedEpisode(episodes[name].folder, episodes[name].facts), scene)
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
@@ -105,7 +107,7 @@ class Imitation(CheckpointedRun):
         self._learner = Cloning(config.learner, self._inputs, limits.shape[1], ends)
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
-        # Now that nothing stands in its way.
+        # The folder is written to only now that nothing else can fail.
         manifest = {"config": asdict(config), "demonstrations": str(demonstrations.resolve())}
         self.folder.begin_or_continue(manifest | {_LEARNT_FROM: learnt_from, _HELD_OUT: held_out})
         self.resume()
@@ -113,7 +115,7 @@ class Imitation(CheckpointedRun):
     def _split(self, recorded: Sequence[RecordedEpisode]) -> tuple[tuple[str, ...], ...]:
         """The names of episodes to learn from and of those held out.
 
-        A run that has begun goes on with its own, whatever has been recorded since.
+        A run that has begun keeps its own, whatever has been recorded since.
         """
         if self.folder.begun:
             known = self.folder.read_manifest()
@@ -141,17 +143,17 @@ class Imitation(CheckpointedRun):
 
     @cached_property
     def _cached(self) -> Examples | None:
-        """The examples of all steps, if they fit into memory and updates need as many."""
+        """The examples of all steps, if they fit into memory and updates use most of them."""
         config, count = self.config, self._dataset.num_steps
         sizes = len(self._inputs.kept), self._ranges.actions.shape[1]
         needed = config.num_updates * config.learner.batch_size
         if np.dtype(np.float32).itemsize * sum(sizes) * count > _MAX_CACHED or needed < count:
             return None
-        every = Examples(*(np.empty((count, size), np.float32) for size in sizes))
+        cached = Examples(*(np.empty((count, size), np.float32) for size in sizes))
         for first in range(0, count, _CACHED_AT_ONCE):
             steps = np.arange(first, min(first + _CACHED_AT_ONCE, count))
-            every.observation[steps], every.action[steps] = self._examples(self._dataset, steps)
-        return every
+            cached.observation[steps], cached.action[steps] = self._examples(self._dataset, steps)
+        return cached
 
     def _examples(self, dataset: Dataset, steps: NDArray[np.intp]) -> Examples:
         lookahead = self.config.n_steps_lookahead
@@ -221,7 +223,7 @@ def observed(batch: StepBatch, ranges: Ranges, onsets: Sequence[Floats] = ()) ->
 def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> Inputs:
     """Inputs without goals of keys that no demonstration asks for.
 
-    The previous action and its reward are left out unless `previous_action`.
+    The previous action and its reward are kept only if `previous_action`.
     """
     mask = np.zeros(spec.goals_of_a_step, bool)
     for number in range(len(dataset.episodes)):
@@ -267,19 +269,19 @@ def _by_song(
 
 
 def _song_named(name: str, songs: Sequence[str]) -> str:
-    """The song with this name, or with this last part of it.
+    """The song of this name, or whose path ends in it.
 
     Raises CadenzaError if there is none, or there are several.
     """
-    called = [song for song in songs if name in (song, name_without_ending(song))]
-    if name in called:
+    matches = [song for song in songs if name in (song, name_without_ending(song))]
+    if name in matches:
         return name
-    if not called:
+    if not matches:
         names = ", ".join(map(name_without_ending, songs))
         raise CadenzaError(f"songs: no demonstration of {name}; there is {names}")
-    if len(called) > 1:
-        raise CadenzaError(f"songs: {name} is {' and '.join(called)}; give one of these")
-    return called[0]
+    if len(matches) > 1:
+        raise CadenzaError(f"songs: {name} is {' and '.join(matches)}; give one of these")
+    return matches[0]
 
 
 def _split(

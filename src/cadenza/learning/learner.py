@@ -1,4 +1,4 @@
-"""Learners by protocol and by name, and their rollouts. Imports nothing heavy, for --help.
+"""Learners by protocol and by name. Imports nothing heavy, for --help.
 
 A learner is named by its configuration, a frozen dataclass that makes it. Another package adds one
 by an entry point of the group `cadenza.learners`.
@@ -10,7 +10,7 @@ import importlib
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
 
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError, extra_packages
@@ -19,6 +19,7 @@ from cadenza.registry import Entry, Registry, module_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cadenza.learning.env_rollout import Decision, EnvRollout
     from cadenza.learning.observation import Inputs
     from cadenza.learning.policy import Policy
     from cadenza.learning.replay_buffer import Batch
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 State = TypeVar("State")
 Preset = Literal["fast", "paper", "published"]
 Ends = tuple[tuple[int, int], ...]
-"""Pairs of updates: since the first, 0 or a change of the end, the run was to end at the second."""
+"""Pairs of updates: the one at which an end of the run was set, at first 0, and that end."""
 
 DROQ = "droq"
 PPO = "ppo"
@@ -85,10 +86,7 @@ class OnPolicyLearner(AnyLearner[State], Protocol[State]):
     """Improve a policy by rollouts of that policy; its arrays are those of JAX."""
 
     def act(self, state: State, observation: Any, key: Any) -> Decision:
-        """Decide what to do for observations (N, D); what is random follows from `key`.
-
-        It may be called in functions that JAX compiles.
-        """
+        """Draw actions for observations (N, D) by `key`; JAX can compile it."""
 
     def value(self, state: State, observation: Any) -> Any:
         """The values (N,) of observations (N, D); see `act`."""
@@ -98,7 +96,8 @@ class OnPolicyLearner(AnyLearner[State], Protocol[State]):
     ) -> tuple[State, dict[str, NDArray[Any]]]:
         """Make one update for each of `rows` (U, B) of the T * N transitions of a rollout.
 
-        Those of a step stand side by side. `state` may be used up. Returns as `Learner.update`.
+        Transitions are ordered by step, then by environment. `state` may be used up. Returns as
+        `Learner.update`.
         """
 
 
@@ -121,7 +120,7 @@ class LearnerConfig:
 
     @classmethod
     def preset(cls, name: Preset, residual: bool) -> Self:  # noqa: ARG003
-        """Return the options of a preset; by default the same for all."""
+        """The options of a preset; by default the same for all."""
         return cls()
 
     def check(self) -> None:
@@ -156,8 +155,8 @@ def check_hidden_sizes(sizes: tuple[int, ...]) -> None:
 def learner_config(name: str) -> type[LearnerConfig]:
     """The configuration of the learner of this name.
 
-    Raises CadenzaError if there is none. A name may come from a file, and of `module:Name` the
-    module is to be imported before: that may run anything.
+    Raises CadenzaError if there is none, or the module of a name `module:Name` is not imported: a
+    name may come from a file, which must not make Cadenza run a module.
     """
     if (module := module_of(name)) is not None and module not in sys.modules:
         raise CadenzaError(
@@ -182,29 +181,3 @@ def name_of(config: LearnerConfig) -> str:
             f"learner {place}: its run could not be resumed; put the class into a module of its own"
         )
     return place
-
-
-Array = Any  # of NumPy or of JAX
-
-
-class Decision(NamedTuple):
-    """What a policy does in N environments."""
-
-    action: Array  # (N, A) what was drawn; its hyperbolic tangent is the action in [-1, 1]
-    log_prob: Array  # (N,) log probability of what was drawn
-    value: Array  # (N,) value of the observation
-
-
-class EnvRollout(NamedTuple):
-    """T control steps of N environments, in the order in which they were taken."""
-
-    observation: Array  # (T, N, D) what was observed before each step
-    action: Array  # (T, N, A) see `Decision`
-    log_prob: Array  # (T, N)
-    value: Array  # (T, N)
-    reward: Array  # (T, N)
-    ended: Array  # (T, N) whether the episode ended with the step
-    # (T, N) value of the observation after the step where a song was over; 0 elsewhere
-    value_at_end: Array
-    # (N,) value of the observation after the last step, or of the next episode's first
-    last_value: Array

@@ -19,12 +19,12 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.view import TaskSpec, View
 
 _HANDS = "keyboard", "hand", "hands", "reduced_action_space", "forearm_dofs"
-_CHANGE_THE_REFERENCE = (
+_REFERENCE_OPTIONS = (
     *("control_timestep", "trim_silence", "stretch", "transpose", "initial_buffer_time"),
     *("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift"),
     *(*_HANDS, "hand_spacing", "attachment_yaw"),
 )
-_CHANGE_WHAT_IS_OBSERVED = (
+_OBSERVATION_OPTIONS = (
     *("n_steps_lookahead", "n_seconds_lookahead", "control_timestep", "fingering", "onset_goals"),
     *(*_HANDS, "touch"),
 )
@@ -62,22 +62,20 @@ class LearntPolicy:
     def check(self, name: str, task: TaskSpec) -> None:
         """Check that the policy can play a task.
 
-        Raises CadenzaError if the policy, which is called `name`, corrects another reference than
-        that of `task`, or observes something else.
+        Raises CadenzaError, in which the policy is called `name`, if its reference or its
+        observation does not fit the task.
         """
-        options: tuple[str, ...] = _CHANGE_THE_REFERENCE if self.residual else ()
+        options: tuple[str, ...] = _REFERENCE_OPTIONS if self.residual else ()
         sees_the_same = self.observation == ObservationSpec.of(task, self.residual)
         if not sees_the_same:
-            options += _CHANGE_WHAT_IS_OBSERVED
-        learnt, options_here = (
-            vars(self.task) | vars(self.scene),
-            vars(task.config) | vars(task.scene.config),
-        )
+            options += _OBSERVATION_OPTIONS
+        own = vars(self.task) | vars(self.scene)
+        others = vars(task.config) | vars(task.scene.config)
         for option in options:
-            if option not in learnt or options_here[option] != learnt[option]:
+            if option not in own or others[option] != own[option]:
                 raise CadenzaError(
-                    f"{name}: was trained with {option} {learnt.get(option)}, but here it is "
-                    f"{options_here[option]}; leave out that option, or train a new policy"
+                    f"{name}: was trained with {option} {own.get(option)}, but here it is "
+                    f"{others[option]}; leave out that option, or train a new policy"
                 )
         if not sees_the_same:
             raise CadenzaError(
@@ -103,8 +101,8 @@ class PolicyAgent(Agent):
     def act(self, view: View) -> Array:
         """The policy's actions (N, A) in actuator units.
 
-        Raises CadenzaError if the policy cannot play the task, see `LearntPolicy.check`, or the
-        song is of another length than its reference.
+        Raises CadenzaError as `LearntPolicy.check`, or if the song is of another length than the
+        reference.
         """
         if view.task is not self._task:
             self._prepare(view)

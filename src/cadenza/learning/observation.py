@@ -3,9 +3,9 @@
 Its shape follows from task and scene, and is the same for every song (`ObservationSpec`). For a
 single song it can be pruned (`pruned`) and put on the scale of that song (`ranges`).
 
-Most of it follows from the score and the step that comes next. `Observer` puts it together from
-what does not follow and a table of the scores, for acting and for learning alike, so that nothing
-of it has to be kept for every transition.
+Most of it follows from the score and the step that comes next. `Observer` composes it from a table
+of the scores and from the rest, for acting and for learning alike, so that a replay buffer has to
+keep only the rest.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ObservationSpec:
 
     goal: int  # keys and pedal of the next step and of those ahead of it
     fingering: int
-    goal_onset: int = 0  # when notes begin, in the last step, in the next one and in those after it
+    goal_onset: int = 0  # when notes begin: in the last step, the next one, and those ahead of it
     goal_velocity: int = 0  # how loud these notes are
     key_state: int
     pedal: int
@@ -94,9 +94,9 @@ class Inputs:
 
 
 class GoalTable:
-    """Goals of scores by row: of each score its control steps and, silent, the lookahead after.
+    """Goals of scores by row: a row for each control step, and silent rows after each score.
 
-    A score that comes again takes no room again.
+    Scores that are equal share their rows.
     """
 
     def __init__(self, task: TaskSpec, tracks: Iterable[GoalTrack] = ()) -> None:
@@ -107,7 +107,7 @@ class GoalTable:
         self._num_bits = self._num_goals + task.scene.fingers.count
         self._ahead = np.arange(spec.goal // self._num_goals)
         self._onsets_seen = np.arange(-1, spec.goal_onset // spec.key_state - 1)
-        # Of each score, so that no step of the next one is ahead of it, nor its last one before.
+        # Between scores, so that lookahead ends in silence, as what was before the next score does.
         self._silent_rows = max(len(self._ahead) - 1, int(spec.goal_onset > 0))
         # Keys, pedal, fingers wanted, in bits.
         self._rows = np.zeros((0, -(-self._num_bits // 8)), np.uint8)
@@ -117,7 +117,7 @@ class GoalTable:
             self.add(track)
 
     def add(self, track: GoalTrack) -> int:
-        """Add what is played, unless it is there; returns the row of its first step."""
+        """Add the score of a track unless it is there; returns the row of its first step."""
         goals = track.goals
         onsets = goals.onsets if self._shows_onsets else NO_ONSETS
         silence = np.zeros((self._silent_rows, self._num_bits), bool)
@@ -136,7 +136,7 @@ class GoalTable:
         return len(self._onsets_seen) > 0
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
-        """What the task observes as goal from these rows (...) on, (..., len(kept))."""
+        """The task's observation of goals (..., len(kept)) from these rows (...) on."""
         bits = self._unpacked(rows[..., None] + self._ahead)
         flat = bits[..., : self._num_goals].reshape(*rows.shape, -1)
         return flat[..., kept].astype(np.float32)
@@ -146,9 +146,9 @@ class GoalTable:
         return self._unpacked(rows)[..., self._num_goals + kept].astype(np.float32)
 
     def onsets(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
-        """What the task observes of the onsets around these rows (...), (..., len(kept)).
+        """The task's observation of onsets around these rows (...): times, then velocities.
 
-        Those are the times, and then the velocities.
+        Of its entries, those `kept` (..., len(kept)).
         """
         seen, size = self._onsets_seen, len(self._onsets_seen) * self._num_keys
         at, places = self._onsets.at((rows[..., None] + seen).ravel())
@@ -167,8 +167,8 @@ class GoalTable:
     def _unpacked(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
         return np.unpackbits(self._rows[rows], axis=-1, count=self._num_bits)
 
-    def ever_wanted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Keys and pedal (K + 1,) and fingers (F,) that any row asks for."""
+    def goals_used(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Keys and pedal (K + 1,) and fingers (F,) that at least one row asks for."""
         ever = np.unpackbits(np.bitwise_or.reduce(self._rows), count=self._num_bits).astype(bool)
         return ever[: self._num_goals], ever[self._num_goals :]
 
@@ -186,7 +186,7 @@ class GoalTable:
         return len(self._rows) - self._silent_rows
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Restore what `arrays` returned; raises a CadenzaError if it is something else."""
+        """Restore the table of `arrays`; raises a CadenzaError if they are something else."""
         expected = {
             "rows": ArrayOf("u", ("rows", self._rows.shape[1]), needed=True),
             "first": ArrayOf(INTEGERS, ("scores",), needed=True),
@@ -217,7 +217,7 @@ def _bytes_of(bits: NDArray[np.uint8], onsets: Onsets) -> bytes:
 def pruned(
     spec: ObservationSpec, keys_wanted: NDArray[np.bool_], fingers_wanted: NDArray[np.bool_]
 ) -> Inputs:
-    """Inputs without goals of keys and fingers that no score asks for, see `GoalTable.ever_wanted`.
+    """Inputs without goals of keys and fingers that no score asks for, see `GoalTable.goals_used`.
 
     They are always zero, so that no weight of theirs would ever be used or change. A network
     without them begins with the same other weights.
@@ -235,15 +235,15 @@ def pruned(
 
 
 class Observer:
-    """Puts observations together.
+    """Compose observations of a policy.
 
-    An observation is that of the task, then as published the previous action in actuator units and
-    the reward that it got, and with a reference its next action. At first both are 0, where the
-    published wrapper shows the least action. With ranges, joints and the previous action are on
-    their scale.
+    An observation is that of the task, then, as published, the previous action in actuator units
+    and its reward, and with a reference its next action. In the first step, previous action and
+    reward are 0, where the published wrapper shows the least action. With ranges, joints and the
+    previous action are on their scale.
 
     Attributes:
-        inputs: The entries of it that are there.
+        inputs: The entries that an observation has.
     """
 
     def __init__(
@@ -277,7 +277,7 @@ class Observer:
         self._proprioception = slice(shown, task.observation_size)
 
     def proprioception(self, shown: Floats) -> Floats:
-        """The entries (N, S) of what is `shown` (N, D) that the score does not tell."""
+        """The entries (N, S) of the task's observation `shown` (N, D) that no score implies."""
         if self._ranges is not None:
             shown = shown.copy()
             shown[:, self._joints] = self._ranges.scaled(shown[:, self._joints])
@@ -285,7 +285,7 @@ class Observer:
 
     @property
     def proprioception_size(self) -> int:
-        """The number S of entries that do not follow from the score."""
+        """The number S of entries that no score implies."""
         return self._proprioception.stop - self._proprioception.start
 
     def observation(
@@ -299,11 +299,11 @@ class Observer:
         """Observations (..., D).
 
         Args:
-            rows: (...) of the scores, that are played next.
+            rows: (...) of the scores; the steps that come next.
             proprioception: (..., S)
             previous_action: (..., A) in [-1, 1].
             previous_reward: (...)
-            first: (...) whether there was none, and both count as 0.
+            first: (...) whether there is no previous action; it and its reward are then 0.
         """
         action = previous_action * self._scale + self._centre
         before = np.concatenate([action, previous_reward[..., None]], axis=-1)

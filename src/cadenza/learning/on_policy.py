@@ -1,4 +1,4 @@
-"""Experience of the latest policy only: each round learns from a rollout of its own."""
+"""Experience of the latest policy only: a round learns from the rollout that it begins with."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
+from cadenza.learning.env_rollout import EnvRollout
 from cadenza.learning.experience import Chunk, Round
-from cadenza.learning.learner import EnvRollout, OnPolicyLearner
+from cadenza.learning.learner import OnPolicyLearner
 from cadenza.resumable import Arrays
 
 Array = Any  # of NumPy or of JAX
@@ -23,7 +24,7 @@ class RolloutExperience(ABC):
     """`Experience` by rollouts, on CPU cores or all on one device."""
 
     def __init__(self, config: TrainingConfig, sample_rng: np.random.Generator) -> None:
-        """Take the options of the run, and what decides on seeds and on the order of learning."""
+        """Draw the seeds of rollouts and the order of learning from `sample_rng`."""
         self._config, self._sample_rng = config, sample_rng
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Policies as folders that can be copied to another machine and played there."""
+"""Policies as folders, which can be copied to another machine and played there."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -36,7 +36,7 @@ _MAX_BYTES = 2**30  # policies take a few million
 POLICY = Kind("policy", "model", (POLICY_FILE,), _MAX_BYTES)  # a policy as the hub keeps it
 _FORMAT = 3
 _REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays
-_EXPECTED_OF_ALL = {
+_COMMON_ARRAYS = {
     "reference/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
     "reference/gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
     "reference/expected": ArrayOf(FLOATS, ("steps + 1", "servos", 2), finite=True),
@@ -45,8 +45,8 @@ _EXPECTED_OF_ALL = {
     "ranges/joints": ArrayOf(FLOATS, (2, "joints"), finite=True),
     "ranges/actions": ArrayOf(FLOATS, (2, "actions"), finite=True),
 }
-_EXPECTED_OF_OTHERS = _EXPECTED_OF_ALL | {"policy/*": ArrayOf(NUMBERS, None)}
-_EXPECTED = _EXPECTED_OF_ALL | {
+_OTHER_ARRAYS = _COMMON_ARRAYS | {"policy/*": ArrayOf(NUMBERS, None)}
+_PERCEPTRON_ARRAYS = _COMMON_ARRAYS | {
     "mean/kernel": ArrayOf(FLOATS, ("features", "actions"), needed=True, finite=True),
     "mean/bias": ArrayOf(FLOATS, ("actions",), needed=True, finite=True),
     "log_std/kernel": ArrayOf(FLOATS, ("features", "actions"), needed=True, finite=True),
@@ -110,15 +110,15 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
 
 
 def policy_folder(folder: str | Path) -> Path:
-    """The folder of a policy, here or of the hub; for that of a training run, its best policy's."""
+    """The folder of a policy, here or of the hub; of a training run, that of its best policy."""
     folder = fetched(folder, POLICY)
     return best if (best := folder / "best").is_dir() else folder
 
 
 def load_policy(folder: str | Path) -> LearntPolicy:
-    """Read a policy: that in a folder, the best one of a training run, or one of the hub.
+    """Read the policy of a folder, the best policy of a training run, or a policy of the hub.
 
-    Raises CadenzaError if there is no policy, or not one that this version wrote, unchanged.
+    Raises CadenzaError if there is no policy, or it is damaged or of another version.
     """
     folder = policy_folder(folder)
     where = folder / POLICY_FILE
@@ -129,13 +129,12 @@ def load_policy(folder: str | Path) -> LearntPolicy:
     arrays, plain = read_tensors(where, ANY, _MAX_BYTES)
     if (number := plain.get("format")) != _FORMAT:
         raise CadenzaError(
-            f"{folder}: this policy has format {quoted(number)}, but this version "
-            f"reads only {_FORMAT}; "
-            "install the version of Cadenza that wrote it"
+            f"{folder}: this policy has format {quoted(number)}, but this version reads only "
+            f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
-    of_others = "learner" in plain
-    check_arrays(arrays, _EXPECTED_OF_OTHERS if of_others else _EXPECTED, folder)
-    facts: _PolicyFacts = checked(plain, _OtherFacts if of_others else _PerceptronFacts, where)
+    is_perceptron = "learner" not in plain
+    check_arrays(arrays, _PERCEPTRON_ARRAYS if is_perceptron else _OTHER_ARRAYS, folder)
+    facts: _PolicyFacts = checked(plain, _PerceptronFacts if is_perceptron else _OtherFacts, where)
     check_modules(facts.scene, where)
     try:
         score = None if facts.score is None else facts.score.score

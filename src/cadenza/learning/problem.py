@@ -1,4 +1,4 @@
-"""What a run of training has to learn: songs as a task, what is observed, and how actions act."""
+"""The problem of a training run: songs as a task, observations of a policy, and its actions."""
 
 from collections.abc import Sequence
 from contextlib import closing
@@ -46,8 +46,8 @@ class Problem:
         reference = self.mapping.reference
         return Observer(self.task.spec, self.goals, self.inputs, reference, self.ranges)
 
-    def alone(self, score: Score, num_envs: int) -> PianoTask:
-        """Environments that all play one of the songs, for evaluations."""
+    def evaluation_task(self, score: Score, num_envs: int) -> PianoTask:
+        """Environments that all play this song."""
         return PianoTask([score], self.config.task, self.scene, num_envs)
 
 
@@ -57,7 +57,7 @@ def problem_of(
     progress: Progress = silent,
     reference: Reference | None = None,
 ) -> Problem:
-    """What a run with these options has to learn; whoever asks for it closes its task.
+    """The problem of a run with these options, whose task the caller must close.
 
     A residual policy corrects the `reference`, or else a new plan, whose progress is reported.
 
@@ -74,9 +74,9 @@ def problem_of(
     if config.residual and reference is None:
         reference = _reference(config, scores, scene, progress)
     observation = ObservationSpec.of(task.spec, config.residual)
-    prune = config.prune_inputs and not draws_pitch(config.task)  # asks for the same keys
-    inputs = pruned(observation, *goals.ever_wanted()) if prune else observation.inputs
-    if on_policy:  # rollouts need not tell what an action led to: the state does
+    prune = config.prune_inputs and not draws_pitch(config.task)  # keys are the same each time
+    inputs = pruned(observation, *goals.goals_used()) if prune else observation.inputs
+    if on_policy:  # the previous action tells little that the state does not
         layout = observation.layout
         previous = range(layout["previous_action"].start, layout["previous_reward"].stop)
         inputs = Inputs(tuple(i for i in inputs.kept if i not in previous), inputs.total)
@@ -95,7 +95,7 @@ def problem_of(
 def _reference(
     config: TrainingConfig, scores: Sequence[Score], scene: SceneConfig, progress: Progress
 ) -> Reference:
-    """What the planner plays where nothing is random, for a residual policy to correct."""
+    """The planner's performance where nothing is random, for a residual policy to correct."""
     undisturbed = replace(config.task, randomization=DomainRandomization())
     with closing(PianoTask(scores, undisturbed, scene)) as task:
         return reference_of(task, config.seed, config.plan_effort, progress)

@@ -1,4 +1,4 @@
-"""Publishes policies and datasets on the Hugging Face hub, with a card that says what they are."""
+"""Policies and datasets on the Hugging Face hub, each with a card."""
 
 from pathlib import Path
 from typing import Any
@@ -36,9 +36,8 @@ Recorded with [Cadenza](https://github.com/cadenza-piano/cadenza), to learn from
 def publish(folder: Path, repo: str) -> str:
     """Upload a policy or a dataset to the repository OWNER/NAME of the hub, and return where it is.
 
-    The repository is made if there is none. Without a README.md in the folder, a card is written
-    for it. Raises CadenzaError if the folder holds neither, or is damaged; or the hub does not take
-    it.
+    The repository is made if there is none, and a card is written if the folder has no README.md.
+    Raises CadenzaError if the folder holds neither or is damaged, or the hub refuses it.
     """
     with extra_packages("hub", "publishing"):
         import huggingface_hub  # noqa: F401 - before anything is read

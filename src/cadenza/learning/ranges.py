@@ -1,4 +1,4 @@
-"""Ranges of joints and actions that a song needs, to which a policy's are normalised.
+"""Ranges of joints and actions that a song needs, to normalise a policy's joints and actions.
 
 The forearms of the hands slide along 1.2 m of rails, a key is 2 cm wide, and a tune rarely spans
 more than a third of the keyboard. Normalised to the whole keyboard, random actions hardly ever
@@ -42,10 +42,7 @@ class Ranges(NamedTuple):
 
 
 def ranges_of(task: PianoTask) -> Ranges:
-    """The ranges of a task with hands.
-
-    Those of fingers are near their rest, those of forearms where the scores need them.
-    """
+    """The ranges of a task with hands: fingers near their rest, forearms where scores need them."""
     scene, servos = task.scene, servos_of(task.scene)
     joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
     actions = np.stack([task.spec.action_low, task.spec.action_high])
@@ -73,7 +70,7 @@ def ranges_of(task: PianoTask) -> Ranges:
 
 
 def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
-    """Where (F, K) a score wants the key from that finger, or from any."""
+    """Whether (F, K) any score asks for a key from a finger, or from no finger in particular."""
     there = task.scene.present_fingers
     numbers = range(there.start, there.stop)
     keys = np.full((len(numbers), task.scene.keyboard.num_keys), draws_pitch(task.config))

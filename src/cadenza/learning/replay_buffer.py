@@ -15,7 +15,7 @@ from cadenza.learning.observation import Floats, Observer
 
 Rows = NDArray[np.int64]
 
-_MIN_COMPLETE = 1 / 8  # of the frames; of fewer, rejection sampling takes too many attempts
+_MIN_COMPLETE = 1 / 8  # share of the frames; with less, rejection sampling takes too many attempts
 
 
 class Batch(NamedTuple):
@@ -145,7 +145,7 @@ class ReplayBuffer:
     # To go on later
 
     def complete_counts(self) -> Rows:
-        """How many frames (N,) were ever added that will not change any more."""
+        """Count the frames (N,) ever added that will not change any more."""
         return self._count - 1
 
     def holds(self, counts: Rows) -> bool:
@@ -166,7 +166,7 @@ class ReplayBuffer:
         }
 
     def restore(self, chunk: dict[str, NDArray[Any]]) -> None:
-        """Add the frames of `since`, in its order. The newest frame is to be observed again.
+        """Add the frames of `since`, in its order; the newest frame must be observed again.
 
         Raises CadenzaError if the frames are of other environments.
         """
@@ -176,9 +176,9 @@ class ReplayBuffer:
             raise CadenzaError("experience: does not continue what came before; start a new run")
         if there != (expected := (to - start).sum()):
             raise CadenzaError(f"experience: has {there} frames instead of {expected}")
-        # Nothing of an environment closes no gap: what comes next is still the first after it.
-        some = to > start
-        start, to = np.where(some, start, self._count), np.where(some, to, self._count)
+        # Without frames of an environment, its gap stays: the next frame is the first after it.
+        any_frames = to > start
+        start, to = np.where(any_frames, start, self._count), np.where(any_frames, to, self._count)
         gap = np.flatnonzero(self._count < start)
         self.skip(start)
         at = self._places(start, to)

@@ -1,4 +1,4 @@
-"""The folder of a run of `cadenza train`, and what its manifest says was asked for.
+"""The folder of a run of `cadenza train`, with its options and songs.
 
 RUN/run.json                  options, songs, the versions of the libraries
 RUN/checkpoint.safetensors    learner, environments, random generators
@@ -15,9 +15,10 @@ from pathlib import Path
 
 from cadenza.errors import CadenzaError, errors_in
 from cadenza.files import checked
-from cadenza.learning.checkpointed_run import LOCKED_OUT, MetricsLog
+from cadenza.learning.checkpointed_run import LOCKED_OUT
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.learner import learner_config, name_of
+from cadenza.learning.metrics_log import MetricsLog
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
 from cadenza.resumable import ResumableFolder, installed_versions
@@ -50,7 +51,7 @@ class RunFolder(ResumableFolder):
         self.metrics, self.replay = MetricsLog(path), path / "replay"
 
     def begin(self, config: TrainingConfig, scores: Sequence[Score]) -> None:
-        """Write down what is asked for; raises CadenzaError if the folder holds a run."""
+        """Write down options and songs; raises CadenzaError if the folder holds a run."""
         if self.begun:
             raise CadenzaError(
                 f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
@@ -86,8 +87,8 @@ class RunFolder(ResumableFolder):
     def settings(self) -> tuple[TrainingConfig, tuple[Score, ...]]:
         """The config and the scores, to go on with them.
 
-        Raises CadenzaError if the folder holds no run, or one whose hand or keyboard is of a module
-        that nobody has imported.
+        Raises CadenzaError if the folder holds no run, or one with a hand or a keyboard of a module
+        that is not imported.
         """
         config, scores = self.description()
         check_modules(config.scene, self.manifest)

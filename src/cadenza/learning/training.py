@@ -1,4 +1,4 @@
-"""Train a policy for a song or for several, to be stopped and resumed at any moment."""
+"""Training of a policy for a song or several, which can be stopped and resumed at any moment."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.rollout import play_episodes
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import checked
-from cadenza.learning.checkpointed_run import CheckpointedRun, Count, Row, finite
+from cadenza.learning.checkpointed_run import CheckpointedRun, Count, Row
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.experience import Chunk, Experience, ReplayExperience
 from cadenza.learning.learner import name_of
 from cadenza.learning.learnt_policy import LearntPolicy
+from cadenza.learning.metrics_log import finite
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import load_policy, save_policy
 from cadenza.learning.problem import Problem, problem_of
@@ -34,18 +35,18 @@ from cadenza.music.score import Score
 from cadenza.resumable import Arrays
 
 _EPISODES_AVERAGED = 100  # in a row of metrics
-_EPISODES_AT_RANDOM = 8  # of each song in an evaluation, where chance decides single ones
+_RANDOM_EPISODES = 8  # of each song in an evaluation, if the task is randomised
 
 
 @dataclass(frozen=True)
 class _Progress:
-    """What a checkpoint has besides arrays."""
+    """The values of a checkpoint besides its arrays."""
 
     best: dict[str, float | None]  # the row of the best evaluation
     collector: dict[str, Any]
     finished: tuple[tuple[float | None, float | None], ...]
     replay: tuple[Chunk, ...]
-    # Pairs of a step and the last step at which the run was to end since then
+    # Pairs of a step, and the last step of the run as set then
     ends: tuple[tuple[Count, Count], ...]
     threads: int | None  # threads of the learner, if their number is known
     updates: Count  # updates of the learner so far
@@ -57,10 +58,9 @@ def begin(
     folder: RunFolder,
     progress: Progress = silent,
 ) -> Training:
-    """Begin a run in a folder, which holds none if it cannot be made.
+    """Begin a run in a folder, and report progress as `problem_of`.
 
-    Reports progress and raises CadenzaError as `problem_of`, and if the folder holds a run
-    already.
+    Raises CadenzaError as `problem_of`, or if the folder holds a run already; no run is begun then.
     """
     folder.begin(config, scores)
     try:
@@ -99,7 +99,7 @@ class Training(CheckpointedRun):
             self.resume()
 
     def _make_learner(self, *ends: tuple[int, int]) -> None:
-        """Make the learner of a run with these ends: pairs of a step and the end since then."""
+        """Make the learner of a run with these ends, see `_Progress`."""
         config, problem, self._ends = self.config, self._problem, ends
         updates = tuple((config.updates_by(since), config.updates_by(end)) for since, end in ends)
         actions = problem.task.spec.action_size
@@ -190,12 +190,12 @@ class Training(CheckpointedRun):
     def _play_episode(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
         """Play every song; its row has the means over the episodes."""
         values = defaultdict[str, list[float]](list)
-        count = _EPISODES_AT_RANDOM if self.config.task.randomization.is_on else 1
+        count = _RANDOM_EPISODES if self.config.task.randomization.is_on else 1
         seeds = range(self.config.seed, self.config.seed + count)
         for score in self._problem.scores:
-            with closing(self._problem.alone(score, count)) as task:
+            with closing(self._problem.evaluation_task(score, count)) as task:
                 played = play_episodes(task, learnt.agent, seeds)
-            for name, value in (item for one in played for item in one.metrics.items()):
+            for name, value in (item for each in played for item in each.metrics.items()):
                 if isinstance(value, int | float) and not math.isnan(value):
                     values[name].append(float(value))
         row = {f"eval/{name}": float(np.mean(of_songs)) for name, of_songs in values.items()}
@@ -284,7 +284,7 @@ def _experience(
 ) -> Experience:
     """The source of experience that a learner needs.
 
-    Environments and actions draw from `rng`, and from `sample_rng` what is learnt from.
+    Environments and actions draw from `rng`, samples to learn from are drawn from `sample_rng`.
     """
     config, task, goals = problem.config, problem.task, problem.goals
     observer, mapping = problem.observer, problem.mapping
@@ -308,7 +308,7 @@ def _experience(
 
 
 def _rank(row: Row) -> tuple[float, ...]:
-    """What ranks an evaluation: note onset F1, F1 (each times its length), then loudness."""
+    """The rank of an evaluation: note onset F1, F1 (each times its length), then loudness."""
     names = "eval/note_onset_f1", "eval/f1"
     loudness = -row.get("eval/velocity_error", math.inf)
     return *(float(row[name] * row["eval/steps"]) for name in names), loudness
@@ -319,6 +319,6 @@ def _or_nan(value: float | None) -> float:
 
 
 def _concatenated(metrics: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Metrics (U,) by name of all updates, from those (u,) of each round."""
+    """Metrics (U,) of all updates by name, from the metrics (u,) of each round."""
     names = metrics[0] if metrics else {}
-    return {name: np.concatenate([some[name] for some in metrics]) for name in names}
+    return {name: np.concatenate([each[name] for each in metrics]) for name in names}

@@ -1,4 +1,4 @@
-"""Functions for learners in JAX: its start, learning rate schedules, states as arrays."""
+"""JAX for learners: its start, learning rate schedules, states as arrays."""
 
 import os
 import sys
@@ -25,11 +25,11 @@ xavier = nn.initializers.xavier_uniform()
 
 
 def start_jax() -> int | None:
-    """Start JAX with two threads, on one core and on many, unless something has done so before.
+    """Start JAX with two threads, on one core and on many, unless it has been started before.
 
     The order in which XLA sums depends on its number of threads, and so do the last digits of
-    everything learnt. The variable NPROC is the only way to set it, and XLA reads it as it starts.
-    Returns how many threads it has, None where the system does not tell.
+    everything learnt. Only the variable NPROC sets it, which XLA reads at its start. Returns the
+    number of threads, or None where the system does not tell.
     """
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = str(NUM_THREADS)
@@ -103,8 +103,7 @@ def learning_rate_schedule(
 ) -> optax.ScalarOrSchedule:
     """A learning rate that decays linearly from `rate` to a fraction of it, by updates.
 
-    Each of `ends` is since which update, the first 0, and at which one the decay is to end. Where
-    the end has been moved, it decays from its value at that update.
+    Each of the `ends` (`Ends`) moves the end of the decay, which goes on from its value then.
     """
     if final_fraction == 1:
         return rate
@@ -130,13 +129,13 @@ def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[
 
 
 def to_arrays(state: Any) -> dict[str, NDArray[Any]]:
-    """A state as arrays by name, for `from_arrays`."""
+    """The arrays of a state by name, for `from_arrays`."""
     leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
 
 
 def from_arrays(arrays: dict[str, NDArray[Any]], like: State) -> State:
-    """The state of `to_arrays`; `like` is one of the same shapes.
+    """The state of `to_arrays`; `like` has the same shapes.
 
     Raises CadenzaError if the arrays have other names, shapes or types.
     """

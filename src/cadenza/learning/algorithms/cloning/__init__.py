@@ -1,1 +1,1 @@
-"""Behaviour cloning: a perceptron that does what demonstrators did."""
+"""Behaviour cloning: a perceptron that imitates demonstrators."""

@@ -32,7 +32,7 @@ class DroQConfig(LearnerConfig):
     log_std_max: float = 2.0
     """Maximum log standard deviation of the policy, before tanh."""
     initial_mean: float = 1.0
-    """Scale of the actor's last weights at the beginning. With 0, the mean action is 0, which of a
+    """Scale of the actor's last weights at the beginning. With 0, the mean action is 0, so that a
     residual policy corrects nothing."""
     initial_temperature: float = 1.0
     """Initial entropy temperature. It is learnt."""

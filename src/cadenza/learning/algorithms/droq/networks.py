@@ -47,7 +47,7 @@ class FirstLayer(nn.Module):
 
 
 class HiddenLayers(nn.Module):
-    """Linear layers, each with dropout and layer normalisation if asked for, and activation."""
+    """Linear layers, each with optional dropout and layer normalisation, and activation."""
 
     config: DroQConfig
     inputs: Inputs
@@ -73,7 +73,7 @@ class HiddenLayers(nn.Module):
 class Actor(nn.Module):
     """Observations (..., D) to mean and logarithm of the deviation of actions (..., A) each.
 
-    An action is the hyperbolic tangent of what is drawn from that normal distribution.
+    An action is the hyperbolic tangent of a sample of that normal distribution.
     """
 
     config: DroQConfig

@@ -1,8 +1,8 @@
-"""Fits the generalist's networks to how the planner's search corrected its plans.
+"""Behaviour cloning: the generalist's networks learn how the planner's search corrects its plans.
 
 There is a network for the wrist and the forearm, one for the thumb, and one that the other fingers
-share: it sees inputs of its own finger, of those beside it, of the wrist and of the forearm. Each
-is an ensemble of perceptrons that learn from other songs; those left out tell when to stop.
+share: it sees inputs of its own finger, of its neighbours, of the wrist and of the forearm. Each is
+an ensemble of perceptrons, which leave out different songs and stop early by them.
 
 RUN/examples/       examples of each episode, made once: 1 MB and 3 s of a core for 10 s of music
 RUN/weights.npz     the networks, once all are fitted
@@ -26,7 +26,6 @@ from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.agents.planner.search.networks.inputs import InputLayout
 from cadenza.agents.planner.search.networks.weights import (
     CONSTANTS,
-    INPUT_LIMIT,
     NETWORKS,
     Network,
     Weights,
@@ -42,6 +41,10 @@ from cadenza.learning.algorithms.generalist.hand_networks import (
     Layers,
     forward,
     initial_layers,
+    joined,
+    normalisation,
+    normalised,
+    with_constants,
 )
 from cadenza.learning.algorithms.on_jax import start_jax
 from cadenza.learning.checkpointed_run import CheckpointedRun
@@ -53,7 +56,6 @@ from cadenza.tasks.goal_track import GoalTrack
 
 _FOLDS = 5  # into which songs are divided
 _ENSEMBLE = 3  # perceptrons of a network, each without the songs of one fold
-_MIN_STD = 1e-3  # of an input that is normalised
 _EXAMPLES: Expected = {
     "inputs": ArrayOf(FLOATS, ("examples", "inputs"), needed=True, finite=True),
     "corrections": ArrayOf(FLOATS, ("examples", "servos"), needed=True, finite=True),
@@ -61,7 +63,7 @@ _EXAMPLES: Expected = {
 
 
 class HandExamples(NamedTuple):
-    """Step of recorded episodes, for either hand."""
+    """Steps of recorded episodes, for either hand."""
 
     inputs: Array  # (N, D) what networks see of a hand
     corrections: Array  # (N, A) of the plan, by the planner
@@ -119,36 +121,25 @@ class GeneralistCloning(CheckpointedRun):
                 f"{len(songs)} songs with episodes that were kept; {_ENSEMBLE} are needed, so that "
                 "each perceptron of a network can leave some out"
             )
-        return [_joined(of_song) for of_song in songs.values()]
+        return [_concatenated(examples) for examples in songs.values()]
 
     def _learn(self) -> dict[str, Any]:
         network, left_out = divmod(self.step, _ENSEMBLE)
         inputs, servos = self._parts[network]
-        mean, std = self._normalisation(inputs, servos)
+        mean_and_std = normalisation(_of_parts(self._songs, inputs, servos).inputs)
 
-        def normalised(songs: list[HandExamples]) -> HandExamples:
-            seen, corrections = _of_parts(songs, inputs, servos)
-            return HandExamples(
-                np.clip((seen - mean) / std, -INPUT_LIMIT, INPUT_LIMIT), corrections
-            )
+        def examples_of(out: bool) -> HandExamples:
+            songs = zip(self._songs, self._fold, strict=True)
+            own = [song for song, fold in songs if out == (fold == left_out)]
+            seen, corrections = _of_parts(own, inputs, servos)
+            return HandExamples(normalised(seen, *mean_and_std), corrections)
 
-        train, validation = (
-            normalised(
-                [s for s, f in zip(self._songs, self._fold, strict=True) if out == (f == left_out)]
-            )
-            for out in (False, True)
-        )
+        train, validation = examples_of(out=False), examples_of(out=True)
         previous = np.append(self._inputs.previous, [False] * len(CONSTANTS))[inputs[0]]
         layers, explained = fit(train, validation, previous, self.config, left_out)
         self._layers.append(layers)
         self.step += 1
         return {"train/explained_variance": explained}
-
-    def _normalisation(self, inputs: Array, servos: Array) -> tuple[Array, Array]:
-        """Mean and standard deviation (I,) of what a network sees."""
-        seen = _of_parts(self._songs, inputs, servos).inputs
-        std = seen.std(axis=0)
-        return seen.mean(axis=0), np.where(std < _MIN_STD, 1.0, std)
 
     def _arrays(self) -> Arrays:
         return {
@@ -170,11 +161,10 @@ class GeneralistCloning(CheckpointedRun):
             return
         networks = []
         for i, (inputs, servos) in enumerate(self._parts):
-            ensemble = zip(*self._layers[_ENSEMBLE * i : _ENSEMBLE * (i + 1)], strict=True)
-            layers = [tuple(map(np.concatenate, zip(*layer, strict=True))) for layer in ensemble]
+            layers = joined(self._layers[_ENSEMBLE * i : _ENSEMBLE * (i + 1)])
             kernels, biases = zip(*layers, strict=True)
-            normalisation = self._normalisation(inputs, servos)
-            networks.append(Network(inputs, servos, *normalisation, kernels, biases))
+            mean, std = normalisation(_of_parts(self._songs, inputs, servos).inputs)
+            networks.append(Network(inputs, servos, mean, std, kernels, biases))
         Weights(self._sizes, tuple(networks)).save(self.folder.path / "weights.npz")
 
 
@@ -188,10 +178,10 @@ def fit(
     """Fit a perceptron; returns its layers and the share of the squared corrections it explains.
 
     AdamW (Loshchilov & Hutter, Decoupled Weight Decay Regularization, 2019) with dropout and early
-    stopping. Inputs that are the `previous` correction (I,) are often hidden: what the planner did
-    tells what it does next, but not why, and when the network plays, it is its own (de Haan,
-    Jayaraman & Levine, Causal Confusion in Imitation Learning, 2019). Raises CadenzaError if there
-    are fewer examples than in a batch.
+    stopping. Inputs that are the `previous` correction (I,) are often hidden: networks that learn
+    to repeat the planner's would repeat their own when they play (de Haan, Jayaraman & Levine,
+    Causal Confusion in Imitation Learning, 2019). Raises CadenzaError with fewer examples than in a
+    batch.
     """
     scale, rng = train.corrections.std(), np.random.default_rng(seed)
     x, y, batch = train.inputs, train.corrections / scale, config.batch_size
@@ -298,33 +288,33 @@ def _cached_examples(recorded: RecordedEpisode, folder: Path) -> HandExamples:
     return examples
 
 
-def _joined(examples: Sequence[HandExamples]) -> HandExamples:
+def _concatenated(examples: Sequence[HandExamples]) -> HandExamples:
     return HandExamples(*(np.concatenate(parts) for parts in zip(*examples, strict=True)))
 
 
 def _of_parts(songs: Sequence[HandExamples], inputs: Array, servos: Array) -> HandExamples:
     """Examples of parts of a hand, with their `inputs` (M, I) and `servos` (M, O)."""
-    examples = _joined(songs)
-    constants = np.broadcast_to(CONSTANTS, (len(examples.inputs), len(CONSTANTS)))
-    seen = np.concatenate([examples.inputs, constants], axis=1)
-    parts = zip(inputs, servos, strict=True)
-    return _joined([HandExamples(seen[:, i], examples.corrections[:, own]) for i, own in parts])
+    examples = _concatenated(songs)
+    seen, parts = with_constants(examples.inputs), zip(inputs, servos, strict=True)
+    return _concatenated(
+        [HandExamples(seen[:, i], examples.corrections[:, own]) for i, own in parts]
+    )
 
 
 def hand_parts(alone: Scene) -> list[tuple[Array, Array]]:
     """Inputs (M, I) and servos (M, O) of each `Network` of a hand alone in a scene."""
-    about, servos = InputLayout.of(alone), servos_of(alone).finger
-    size, fingers = len(about.finger), np.unique(servos[servos >= 0])
+    layout, servos = InputLayout.of(alone), servos_of(alone).finger
+    size, fingers = len(layout.finger), np.unique(servos[servos >= 0])
     zero, one = size, size + 1  # `CONSTANTS`
 
     def seen_by(finger: int) -> Array:
-        own = np.flatnonzero((about.finger == finger) | (about.finger == -1))
+        own = np.flatnonzero((layout.finger == finger) | (layout.finger == -1))
         neighbours = [
-            np.flatnonzero((about.finger == other) & ~about.private)
+            np.flatnonzero((layout.finger == other) & ~layout.private)
             for other in (finger - 1, finger + 1)
         ]
-        most = max(map(len, neighbours))
-        beside = [each if len(each) else np.full(most, zero) for each in neighbours]
+        size_beside = max(map(len, neighbours))
+        beside = [each if len(each) else np.full(size_beside, zero) for each in neighbours]
         return np.concatenate([own, *beside, np.where(fingers[1:] == finger, one, zero)])
 
     def servos_of_each(parts: Array) -> Array:

@@ -1,53 +1,41 @@
-"""Excerpts of songs, played many at once by planned hands that are corrected, with rewards.
+"""Excerpts of songs as environments, in which planned hands are corrected.
 
 Each finger has its own reward: what its keys lack, wrong keys that it is nearest to, how far its
 strikes are off their times and speeds, and its fingertip from the plan.
-
-RUN/weights.npz     the networks of a run on them
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from copy import copy
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.generalist.generalist import shipped_for
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
-from cadenza.agents.planner.search.networks.inputs import sizes_of
-from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.agents.planner.search.strikes import as_heard, strike_costs
-from cadenza.errors import CadenzaError
-from cadenza.files import sha256_of
-from cadenza.learning.algorithms.generalist.config import ExcerptConfig
 from cadenza.learning.algorithms.generalist.hand_networks import Array
-from cadenza.learning.algorithms.on_jax import start_jax
-from cadenza.learning.checkpointed_run import CheckpointedRun
 from cadenza.music.score import Score
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
-# Weights of a step's costs, as in the planner's search, but that a key counts the less the more are
-# wanted at once.
+# Weights of the costs of a step, as in the planner's search, except that a key of a chord counts
+# less the more keys the chord has.
 _WRONG, _EARLY, _OFF_PLAN, _STRIKE = 3.0, 1.5, 0.3, 0.3
 _AXES = np.array([0.55, 1.0, 1.0])  # weights of distances: those along a key count less
-_MOST = 15.0  # cost of a finger in a step
+_MAX_COST = 15.0  # of a finger in a step
 
-# Velocities that are drawn.
+# The distribution of velocities.
 _VELOCITIES = 30, 100
 _SWELL = 3.0, 8.0  # [s] in which they rise and fall
 _ACCENT = 8.0  # standard deviation of each note's own
@@ -112,7 +100,7 @@ class FingerCosts:
         np.add.at(costs, (along**2 + above**2).argmin(axis=1), wrong[keys])
         fingers, strikes = self.strikes.costs(step, state)
         np.add.at(costs, fingers, _STRIKE * strikes)
-        return np.minimum(costs, _MOST), sounding
+        return np.minimum(costs, _MAX_COST), sounding
 
 
 class StrikesOfPlan(NamedTuple):
@@ -122,7 +110,7 @@ class StrikesOfPlan(NamedTuple):
     key: Array  # (N,)
     finger: Array  # (N,) the fingers of both hands that strike
     # (N, 2) times in the steps [s], and log2 of the angular speeds of the keys [rad/s]
-    wanted: Array
+    target: Array
 
     @classmethod
     def of(cls, plan: SongPlan, held: Array) -> StrikesOfPlan:
@@ -133,18 +121,17 @@ class StrikesOfPlan(NamedTuple):
         return cls(step[rows], key[rows], plan.goals.fingers[step, key][rows], target[rows])
 
     def at(self, step: int) -> Iterator[tuple[int, int, Array]]:
-        """Yield the key, the finger and what is wanted of each strike of a step."""
+        """Yield the key, the finger and the target of each strike of a step."""
         rows = slice(*np.searchsorted(self.step, [step, step + 1]))
-        yield from zip(
-            self.key[rows].tolist(), self.finger[rows].tolist(), self.wanted[rows], strict=True
-        )
+        key, finger = self.key[rows].tolist(), self.finger[rows].tolist()
+        yield from zip(key, finger, self.target[rows], strict=True)
 
     def costs(self, step: int, state: State) -> tuple[Array, Array]:
         """Fingers (M,) that strike in a step, and the costs (M,) of how they did."""
         rows = slice(*np.searchsorted(self.step, [step, step + 1]))
         key = self.key[rows]
         outcome = np.column_stack([state.key_onset[0, key], as_heard(state.key_speed[0, key])])
-        return self.finger[rows], strike_costs(outcome, self.wanted[rows])
+        return self.finger[rows], strike_costs(outcome, self.target[rows])
 
 
 class PlannedExcerpt(NamedTuple):
@@ -237,10 +224,10 @@ class ExcerptRollout(NamedTuple):
 
 
 class ExcerptEnvs:
-    """Simulations that play excerpts: the more often, the more they cost when last played.
+    """Simulations that play excerpts, more often the more they cost when last played.
 
     Attributes:
-        episodes: the present one in each of the E simulations.
+        episodes: The present episode in each of the E simulations.
     """
 
     def __init__(
@@ -305,58 +292,3 @@ class ExcerptEnvs:
 
     def _state(self, env: int) -> State:
         return State._make(values[env : env + 1] for values in self._simulation.state)
-
-
-class ExcerptRun(CheckpointedRun):
-    """A run on excerpts, which a resumed one begins anew; another `num_rounds` changes its end."""
-
-    def __init__(
-        self,
-        config: ExcerptConfig,
-        library: str,
-        scores: Sequence[Score],
-        folder: Path,
-        weights: Path | None = None,
-        progress: Progress = silent,
-    ) -> None:
-        """Resume the run in `folder`, or begin it on `scores`, excerpts of songs of a `library`.
-
-        It begins with the networks in the file `weights`, by default those of Cadenza; `progress`
-        counts the excerpts that are planned.
-
-        Raises CadenzaError if an option makes no sense, there is no score, the networks are of
-        other hands, or the folder holds a run with other options.
-        """
-        config.check()
-        if not scores:
-            raise CadenzaError(f"{library}: no songs to play")
-        rng = np.random.default_rng(config.seed)
-        interval = config.checkpoint_interval
-        super().__init__(self.folder_at(folder), config.num_rounds, interval, rng)
-        start_jax()
-        self.config, scene = config, build_scene()
-        initial = _initial_weights(scene, weights)
-        options = asdict(config)
-        manifest = {"num_rounds": options.pop("num_rounds"), "config": options, "library": library}
-        manifest["weights"] = None if weights is None else sha256_of(weights)
-        self.folder.begin_or_continue(manifest, changeable=("num_rounds",))
-        self._prepare(initial, scene)
-        self.resume()
-        if not self.finished:
-            excerpts = planned_excerpts(scores, progress)
-            self._envs = ExcerptEnvs(excerpts, scene, config.num_envs, self._rng)
-
-    @abstractmethod
-    def _prepare(self, initial: Weights, scene: Scene) -> None:
-        """Begin with these networks, before a checkpoint is restored."""
-
-
-def _initial_weights(scene: Scene, path: Path | None) -> Weights:
-    """The networks of a file, by default those of Cadenza for the hands of a scene.
-
-    Raises CadenzaError if they are of other hands, or the file is damaged.
-    """
-    weights = shipped_for(scene) if path is None else Weights.load(path)
-    if weights is None or weights.sizes != sizes_of(scene):
-        raise CadenzaError(f"{path}: networks of other hands than {scene.hand.name}")
-    return weights

@@ -19,6 +19,7 @@ Array = NDArray[Any]
 Layers = list[tuple[Any, Any]]
 """Kernels (N, I, O) and biases (N, 1, O) of an ensemble of N perceptrons."""
 
+_MIN_STD = 1e-3  # of an input that is normalised
 OUTPUT_SCALE = 0.1 * np.sqrt(2)  # of a policy's last layer: it begins with small corrections
 
 
@@ -46,6 +47,29 @@ def forward(layers: Layers, x: Any, dropout: float = 0.0, key: Any = None) -> An
             x *= jax.random.bernoulli(now, 1 - dropout, x.shape) / (1 - dropout)
         x = x @ kernel + bias
     return x
+
+
+def joined(ensemble: Sequence[Layers]) -> Layers:
+    """The layers of an ensemble, from the layers of its members."""
+    layers = (zip(*layer, strict=True) for layer in zip(*ensemble, strict=True))
+    return [(np.concatenate(kernels), np.concatenate(biases)) for kernels, biases in layers]
+
+
+def with_constants(inputs: Array) -> Array:
+    """Inputs (N, D) of hands, then the constants that networks see."""
+    constants = np.broadcast_to(CONSTANTS, (len(inputs), len(CONSTANTS)))
+    return np.concatenate([inputs, constants], axis=1)
+
+
+def normalisation(inputs: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation (I,) of a network's inputs (N, I)."""
+    std = inputs.std(axis=0)
+    return inputs.mean(axis=0), np.where(std < _MIN_STD, 1.0, std)
+
+
+def normalised(inputs: Array, mean: Array, std: Array) -> Array:
+    """Normalised inputs (N, I), within the limit."""
+    return np.clip((inputs - mean) / std, -INPUT_LIMIT, INPUT_LIMIT)
 
 
 def hand_outputs(layers: Layers, network: Network, inputs: Any) -> Any:

@@ -16,7 +16,8 @@ import optax
 
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.learning.algorithms.generalist.config import GeneralistReinforcementConfig
-from cadenza.learning.algorithms.generalist.excerpts import ExcerptRollout, ExcerptRun
+from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptRollout
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,
@@ -45,7 +46,7 @@ class GeneralistPPOState(NamedTuple):
 
 
 class HandPPO:
-    """PPO with an advantage for each part of a hand: the whole of it, or one of F fingers."""
+    """PPO with an advantage for each part of a hand: the hand itself, and its F fingers."""
 
     def __init__(
         self,

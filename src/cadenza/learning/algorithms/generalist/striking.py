@@ -1,8 +1,8 @@
-"""Learns the touch of the generalist's fingers: how they are led in the steps in which they strike.
+"""Learning of the touch of the generalist's fingers: how they move in the steps of strikes.
 
-A touch is how much lower a finger is led, and how much less its servos are corrected. Each round
-plays excerpts with touches that are drawn around the best so far. A critic learns from all rounds
-how each strike turned out, given what the finger's network sees and its touch. Then the networks
+A touch is how far a finger is lowered, and how much less its servos are corrected. Each round plays
+excerpts with touches that are drawn around the best so far. A critic learns from all rounds how
+each strike turned out, given the inputs of the finger's network and its touch. Then the networks
 for touches descend the gradient of the cost that the critic predicts: a deterministic policy
 gradient (Silver et al., Deterministic Policy Gradient Algorithms, 2014) of a single decision.
 
@@ -20,16 +20,21 @@ import numpy as np
 import optax
 
 from cadenza.agents.generalist.corrected_hands import MAX_LOWER
-from cadenza.agents.planner.search.networks.weights import CONSTANTS, INPUT_LIMIT, Network, Weights
+from cadenza.agents.planner.search.networks.weights import Network, Weights
 from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.generalist.config import GeneralistStrikingConfig
-from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, ExcerptEpisode, ExcerptRun
+from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
+from cadenza.learning.algorithms.generalist.excerpts import ExcerptEnvs, ExcerptEpisode
 from cadenza.learning.algorithms.generalist.hand_networks import (
     Array,
     Layers,
     forward,
     initial_layers,
+    joined,
+    normalisation,
+    normalised,
+    with_constants,
     with_layers,
 )
 from cadenza.resumable import Arrays
@@ -42,23 +47,23 @@ _CRITIC_HIDDEN = (128, 64)
 _CRITIC_OUTPUTS = 2 + 3  # the outcome, and whether the key sounds in three steps
 _CRITIC_RATE, _CRITIC_DECAY = 2e-3, 0.03  # AdamW
 _HIDDEN_INPUTS = 0.1  # of a critic's, in training
-_MIN_STD = 1e-3  # of an input that is normalised
 _MAX_GRADIENT_NORM = 5.0
 
-# Touches that are drawn.
-_SPREAD = 0.8  # [cm] standard deviation
+# Touches: how far a finger is lowered [cm], and the share by which corrections are reduced.
+_TOUCHES = [-MAX_LOWER, 0.0], [MAX_LOWER, 1.0]
+_SPREAD = 0.8  # [cm] standard deviation of the exploration
 _SPREADS = np.array([0.0, 0.4, 1.0])  # factors of it
-_LESS, _LESS_DRAWN = 0.6, 0.5  # furthest from the share so far, and how often
+_REDUCTION_SPREAD, _REDUCTION_DRAWN = 0.6, 0.5  # largest exploration, and how often
 
-# Outcomes: a time and log2 of a speed, normalised; a strike that is missed is so late.
+# Outcomes: a time and log2 of a speed, normalised; a missed strike has the latest time.
 _MIDDLE, _SCALE = np.array([0.02, 1.0], np.float32), np.array([0.012, 0.8], np.float32)
 _EARLIEST, _LATEST = -0.03, 0.08  # [s] from the beginning of the step
 
 # Costs.
 _LATE = 3.0  # units of time beyond which a strike does not cost more
 _MISSED = 8.0  # of a key that does not sound after its step, or before it
-_LOWER, _LESS_COST = 0.2, 0.4  # of touches, squared
-_FIRST_LESS = 0.3  # share with which learning begins: at 0 it would have no gradient
+_LOWER_COST, _REDUCTION_COST = 0.2, 0.4  # of touches, squared
+_FIRST_REDUCTION = 0.3  # with which learning begins: at 0 it would have no gradient
 
 
 class Strikes(NamedTuple):
@@ -69,7 +74,7 @@ class Strikes(NamedTuple):
     touch: Array  # (N, 2) its touch
     # (N, 2) the time in the step [s] and log2 of the speed [rad/s]; NaN without an onset
     outcome: Array
-    wanted: Array  # (N, 2) the same, as planned
+    target: Array  # (N, 2) the same, as planned
     # (N, 3) whether the key sounded after the step before, this one, and the next one; NaN where
     # the plan does not hold it then
     sounding: Array
@@ -108,12 +113,13 @@ def _drawn(weights: Weights, inputs: Array, striking: Array, rng: np.random.Gene
     touch = np.zeros((*striking.shape, 2))
     if weights.striking:
         touch += weights.touch(inputs)
-        touch = np.clip(touch, [-MAX_LOWER, 0.0], [MAX_LOWER, 1.0])
+        touch = np.clip(touch, *_TOUCHES)
     spread = _SPREAD * rng.choice(_SPREADS, size=striking.shape)
     touch[..., 0] += spread * rng.standard_normal(striking.shape)
-    drawn = rng.random(striking.shape) < _LESS_DRAWN
-    touch[..., 1] += drawn * rng.uniform(-_LESS, _LESS, striking.shape)
-    return np.clip(touch, [-MAX_LOWER, 0.0], [MAX_LOWER, 1.0]) * striking[..., None]
+    drawn = rng.random(striking.shape) < _REDUCTION_DRAWN
+    reduction = rng.uniform(-_REDUCTION_SPREAD, _REDUCTION_SPREAD, striking.shape)
+    touch[..., 1] += drawn * reduction
+    return np.clip(touch, *_TOUCHES) * striking[..., None]
 
 
 def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
@@ -141,17 +147,17 @@ def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
 
 
 class _StrikeData(NamedTuple):
-    """What is learnt from: R strikes of fingers that share a network."""
+    """R strikes of fingers that share a network, to learn from."""
 
     seen: Array  # (R, I) normalised inputs
     touch: Array
     outcome: Array
-    wanted: Array
+    target: Array
     sounding: Array
 
 
 class TouchFit:
-    """Fit a critic of strikes, and by it a network for touches, to the strikes of some fingers."""
+    """Fit a critic of strikes, and by its gradient a network for touches."""
 
     def __init__(self, config: GeneralistStrikingConfig, rng: np.random.Generator) -> None:
         self._config, self._rng = config, rng
@@ -164,7 +170,7 @@ class TouchFit:
         part, mean, std = _part(of, fingers, strikes)
         sizes = (part.seen.shape[1], *self._config.hidden_sizes, 2)
         policy = _ensemble(sizes, self._rng, 0.01)
-        policy[-1][1][..., 1] = _FIRST_LESS
+        policy[-1][1][..., 1] = _FIRST_REDUCTION
         critics = _ensemble((sizes[0] + 2, *_CRITIC_HIDDEN, _CRITIC_OUTPUTS), self._rng, 0.1)
         critics = self._descend(critics, _critic_loss, part, _CRITIC_RATE, _CRITIC_DECAY, hide=True)
         loss = partial(_touch_loss, critics)
@@ -182,7 +188,7 @@ class TouchFit:
         decay: float,
         hide: bool = False,
     ) -> Layers:
-        """Layers after some epochs of AdamW, with some inputs hidden if that is wanted."""
+        """Layers after some epochs of AdamW, in which `hide` sets some inputs to 0."""
         config, rng = self._config, self._rng
         batches = max(len(part.seen) // config.batch_size, 1)
         schedule = optax.cosine_decay_schedule(rate, config.num_epochs * batches)
@@ -211,26 +217,19 @@ def _part(of: Network, fingers: Array, strikes: Strikes) -> tuple[_StrikeData, A
     """The strikes of some fingers, and mean and standard deviation (I,) of their inputs."""
     is_own = np.isin(strikes.finger, fingers)
     own = Strikes._make(values[is_own] for values in strikes)
-    constants = np.broadcast_to(CONSTANTS, (len(own.inputs), len(CONSTANTS)))
-    inputs = np.concatenate([own.inputs, constants], axis=1)
-    seen = np.take_along_axis(inputs, of.inputs[np.searchsorted(fingers, own.finger)], axis=1)
-    mean, std = seen.mean(axis=0), seen.std(axis=0)
-    std = np.where(std < _MIN_STD, 1.0, std)
-    seen = np.clip((seen - mean) / std, -INPUT_LIMIT, INPUT_LIMIT)
+    rows = of.inputs[np.searchsorted(fingers, own.finger)]
+    seen = np.take_along_axis(with_constants(own.inputs), rows, axis=1)
+    mean, std = normalisation(seen)
+    seen = normalised(seen, mean, std)
     time = np.nan_to_num(own.outcome[:, 0], nan=_LATEST)
     outcome = np.stack([np.clip(time, _EARLIEST, _LATEST), own.outcome[:, 1]], axis=1)
-    arrays = seen, own.touch, outcome, own.wanted, own.sounding
+    arrays = seen, own.touch, outcome, own.target, own.sounding
     part = _StrikeData._make(values.astype(np.float32) for values in arrays)
     return part, mean.astype(np.float32), std.astype(np.float32)
 
 
 def _ensemble(sizes: Sequence[int], rng: np.random.Generator, scale: float) -> Layers:
-    drawn = [initial_layers(sizes, rng, scale) for _ in range(_ENSEMBLE)]
-    layers = []
-    for each in zip(*drawn, strict=True):
-        kernels, biases = zip(*each, strict=True)
-        layers.append((np.concatenate(kernels), np.concatenate(biases)))
-    return layers
+    return joined([initial_layers(sizes, rng, scale) for _ in range(_ENSEMBLE)])
 
 
 def _predicted(critics: Layers, seen: Any, touch: Any) -> Any:
@@ -250,17 +249,18 @@ def _critic_loss(critics: Layers, part: _StrikeData) -> Any:
 
 def _touch_loss(critics: Layers, policy: Layers, part: _StrikeData) -> Any:
     raw = forward(policy, part.seen[None]).mean(axis=0)
-    touch = jnp.clip(raw, jnp.array([-MAX_LOWER, 0.0]), jnp.array([MAX_LOWER, 1.0]))
+    touch = jnp.clip(raw, *map(jnp.array, _TOUCHES))
     predicted = _predicted(critics, part.seen, touch)
     outcome = predicted[..., :2] * _SCALE + _MIDDLE
-    error = jnp.abs(outcome - part.wanted) / UNIT
+    error = jnp.abs(outcome - part.target) / UNIT
     error = error.at[..., 0].min(_LATE)
     strikes = (jnp.sqrt(1 + error * error) - 1) @ WEIGHT
     sounds = jax.nn.sigmoid(predicted[..., 2:])
     held = jnp.isfinite(part.sounding[:, 2])
     missed = sounds[..., 0] + (1 - sounds[..., 1]) + held * (1 - sounds[..., 2])
     beyond = jnp.square(raw - touch)[:, 1]
-    effort = _LOWER * jnp.square(raw[:, 0]) + _LESS_COST * jnp.square(touch[:, 1]) + beyond
+    reduction = _REDUCTION_COST * jnp.square(touch[:, 1])
+    effort = _LOWER_COST * jnp.square(raw[:, 0]) + reduction + beyond
     return (strikes + _MISSED * missed).mean() + effort.mean()
 
 

@@ -4,11 +4,11 @@ PPO is Schulman et al., Proximal Policy Optimization Algorithms, 2017; CleanRL i
 CleanRL: High-quality Single-file Implementations of Deep Reinforcement Learning Algorithms, JMLR
 2022. Four things differ:
 
-- An action is the hyperbolic tangent of what is drawn, so that every `Perceptron` can play it. The
-  ratio of probabilities is that of what is drawn.
+- An action is the hyperbolic tangent of a normal sample, so that a `Perceptron` can play it. The
+  ratio of probabilities is that of the sample.
 - The end of a song truncates an episode, and the value of its last observation is counted.
-- Observations are normalised by what was seen up to the rollout before, so that one policy draws a
-  rollout and is compared with what is learnt from it.
+- Observations are normalised by the statistics up to the previous rollout, so that the policy that
+  draws a rollout is the one that its updates are compared with.
 - The learning rate follows the divergence of the new policy from the old one, as in RSL-RL (Rudin
   et al., Learning to Walk in Minutes Using Massively Parallel Deep Reinforcement Learning, 2021).
 """
@@ -25,7 +25,8 @@ import optax
 
 from cadenza.learning.algorithms.on_jax import ACTIVATIONS, StateOnJax, named_weights
 from cadenza.learning.algorithms.ppo.config import PPOConfig
-from cadenza.learning.learner import Decision, Ends, EnvRollout
+from cadenza.learning.env_rollout import Decision, EnvRollout
+from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
 
@@ -231,7 +232,7 @@ def gae(rewards: Array, values: Array, ended: Array, discount: float, gae_lambda
     Args:
         rewards: (T, N, ...)
         values: (T + 1, N, ...)
-        ended: (T, N) whether the episode ended with the step; no value is carried over that.
+        ended: (T, N) whether the episode ended with the step, over which no value is carried.
         discount: gamma.
         gae_lambda: lambda.
     """
@@ -259,7 +260,7 @@ def clipped_objective(log_ratio: Array, advantage: Array, clip: float) -> Array:
 
 
 def _log_prob(action: Array, mean: Array, std: Array) -> Array:
-    """The log probability (...) of what was drawn (..., A), before tanh."""
+    """The log probability (...) of samples (..., A) before tanh."""
     z = (action - mean) / std
     return (-0.5 * z**2 - jnp.log(std) - 0.5 * jnp.log(2 * jnp.pi)).sum(axis=-1)
 
