@@ -29,6 +29,7 @@ env = suite.load(
         "disable_colorization": False,
         "disable_hand_collisions": False,
         "change_color_on_activation": True,
+        "augmentations": None,
     },
 )
 spec = env.action_spec()

@@ -91,6 +91,26 @@ def test_a_joint_that_follows_moves_with_its_leader(tmp_path):
     assert follower.qpos[0] == pytest.approx(-0.5 * leader.qpos[0], abs=0.02)
 
 
+def test_a_joint_follows_from_where_an_equality_of_the_file_begins(tmp_path):
+    path = write_to(tmp_path)
+    coupled = '<equality><joint joint1="index_3" joint2="index_2" polycoef="0.3 0.5 0 0 0"/>'
+    path.with_name("leap.xml").write_text(
+        mjcf().replace("<actuator>", f"{coupled}</equality><actuator>")
+    )
+    hand = HandFile(path).hand(UPRIGHT)
+    scene, file = build_scene(SceneConfig(hands="right"), hand), mujoco.MjModel.from_xml_path
+    theirs, ours = mujoco.MjData(file(str(tmp_path / "leap.xml"))), mujoco.MjData(scene.model)
+    theirs.joint("index_2").qpos, theirs.joint("index_3").qpos = 0.4, 0.3 + 0.5 * 0.4
+    ours.joint("rh_index_2").qpos, ours.joint("rh_index_3").qpos = 0.4, 0.5 * 0.4
+    mujoco.mj_kinematics(theirs.model, theirs)
+    mujoco.mj_kinematics(scene.model, ours)
+    expected = in_palm(theirs, "palm", theirs.site("index_tip").xpos)
+    tip = in_palm(ours, PALM, ours.site("rh_indextip").xpos)
+    np.testing.assert_allclose(tip, expected, atol=1e-7)
+    joint = next(link.joint for link in hand.body.links if link.name == "index3")
+    np.testing.assert_allclose(joint.range, (-0.6, 1.5))
+
+
 def described(old: str, new: str) -> Callable[[Path], None]:
     return lambda path: path.write_text(TOML.replace(old, new)) and None
 

@@ -179,12 +179,14 @@ class HandFile:
             self._id("fixed", mujoco.mjtObj.mjOBJ_JOINT, name): angle
             for name, angle in self.description.fixed.items()
         }
+        self._bodies = [b for b in range(self._model.nbody) if self._root in self._line(b)]
+        self._joints = dict(self._moving_joints())
         self._data = mujoco.MjData(self._model)
         for joint, angle in self._fixed.items():
             self._data.qpos[self._model.jnt_qposadr[joint]] = angle
+        for joint, _, offset, _ in self._coupled():
+            self._data.qpos[self._model.jnt_qposadr[joint]] += offset
         mujoco.mj_kinematics(self._model, self._data)
-        self._bodies = [b for b in range(self._model.nbody) if self._root in self._line(b)]
-        self._joints = dict(self._moving_joints())
         self._tips = {name: self._tip(name) for name in self.description.fingers}
         self._own = self._own_links()
         self.flat = self._rotation()
@@ -394,15 +396,11 @@ class HandFile:
             yield from (Follower(follower, leader, ratio) for leader, ratio in leaders.items())
         given = set(self.description.follows)
         driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if not self._pulls(a)}
-        for equality in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
-            joint, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
-            offset, ratio, *bent = model.eq_data[equality, :5]
-            if names.get(joint, joint) in given or not {joint, leader} <= names.keys():
-                continue
-            if abs(offset) > 0 or np.any(bent):
+        for joint, leader, _, (ratio, *bent) in self._coupled():
+            if np.any(bent):
                 raise self.error(f"joint {names[joint]} follows by more than a ratio; use follows")
             given.add(names[joint])
-            yield Follower(names[joint], names[leader], float(ratio))
+            yield Follower(names[joint], names[leader], ratio)
         is_length = (model.eq_type == mujoco.mjtEq.mjEQ_TENDON) & (model.eq_obj2id < 0)
         fixed_tendons = set(model.eq_obj1id[is_length].tolist())
         for tendon in range(model.ntendon):
@@ -419,6 +417,15 @@ class HandFile:
                 if free and slack < _SLACK * abs(share):
                     given.add(names[joint])
                     yield Follower(names[joint], names[leader], float(-leader_share / share))
+
+    def _coupled(self) -> Iterator[tuple[int, int, float, list[float]]]:
+        """Yield joints that equalities couple, their leaders, offsets and further coefficients."""
+        model, names = self._model, self._joints
+        for equality in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
+            joint, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+            if {joint, leader} <= names.keys() and names[joint] not in self.description.follows:
+                offset, *others = model.eq_data[equality, :5].tolist()
+                yield joint, leader, offset, others
 
     def _wrapped(self, tendon: int) -> tuple[list[int], list[float]]:
         """The joints of a fixed tendon and their coefficients, none of any other."""
@@ -503,7 +510,7 @@ class HandFile:
     def _joint(self, joint: int) -> Joint:
         model, dof = self._model, int(self._model.jnt_dofadr[joint])
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
-        given, zero = self.description, float(model.qpos0[model.jnt_qposadr[joint]])
+        given, zero = self.description, float(self._data.qpos[model.jnt_qposadr[joint]])
         rotor = float(model.dof_armature[dof]) or ROTOR
         return Joint(
             self._joints[joint],

@@ -74,6 +74,8 @@ def translated(options: Mapping[str, Any]) -> dict[str, Any]:
     """
     here: dict[str, Any] = {}
     for name, value in options.items():
+        if name in _ELSEWHERE and value is None:  # the default there
+            continue
         if name in _ELSEWHERE:
             raise CadenzaError(f"option {name}: {hint(name, value)}")
         if name not in _WITHOUT_EFFECT:
