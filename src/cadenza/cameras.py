@@ -34,7 +34,7 @@ def points_of_box(low: Any, high: Any, along: int = 2) -> Points:
 
 
 def outline_of(low: Any, high: Any) -> Points:
-    """Return points of a case between two corners (3,), low at the front and high at the back."""
+    """Points of a case between two corners (3,), low at the front and high at the back."""
     points = points_of_box(low, high, _ALONG)
     return points[(points[:, 0] < high[0]) | (points[:, 2] < high[2])]
 
@@ -134,7 +134,7 @@ class Camera:
         return target, distance
 
     def _extent(self, sight: Sight, target: Points, distance: float) -> tuple[Any, Any]:
-        """Return the bounds (2,) of what is seen, each without what is outside the other way."""
+        """The bounds (2,) of what is seen, each without what is outside the other way."""
         seen = self._seen(np.concatenate(sight), target, distance)
         inside = np.abs(seen[:, ::-1]) <= 1
         inside |= ~inside.any(0)

@@ -320,7 +320,7 @@ def test_reset_begins_anew(scenes):
         player.reset()
         assert_array_equal(player.task.observation(), first)
         assert player.task.view().reward[0] == 0
-        assert not player.task.wanted.any()
+        assert not player.task.goal_keys.any()
         fresh = Player(scenes["both"])
         rewards = [(player.rest().reward[0], fresh.rest().reward[0]) for _ in range(10)]
         assert all(again == once for again, once in rewards)

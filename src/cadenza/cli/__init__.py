@@ -157,7 +157,7 @@ def _import_parts(chosen: Chosen) -> None:
 
 
 def _kinds() -> dict[str, type]:
-    """Return name -> the dataclass of a command, with the options of the planner if it plays."""
+    """Name -> the dataclass of a command, with the options of the planner if it plays."""
     return {
         name: with_options_of(kind, [PLANNER]) if issubclass(kind, Options) else kind
         for name, (kind, _) in COMMANDS.items()

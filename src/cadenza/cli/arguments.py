@@ -188,7 +188,7 @@ def print_commands(
 
 
 def _any_of(commands: Mapping[str, type]) -> Any:
-    """Return the union of the types of commands, each with its name and a line of help."""
+    """The union of the types of commands, each with its name and a line of help."""
     kinds = [
         Annotated[
             kind, tyro.conf.subcommand(name, description=str(kind.__doc__).partition("\n")[0])

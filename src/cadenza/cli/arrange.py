@@ -41,7 +41,7 @@ class Arrange:
 
 
 def default(chosen: Chosen) -> Arrange:
-    """Return the command's default, with the hands and keys of the setup that is chosen."""
+    """The command's default, with the hands and keys of the setup that is chosen."""
     setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
     return Arrange(song=tyro.MISSING_NONPROP, scene=SceneConfig(**setup.of(SceneConfig)))
 

@@ -91,7 +91,7 @@ def _agents(command: Bench) -> list[str]:
 
 
 def _seeds(parts: Sequence[str]) -> list[int]:
-    """Return the seeds of texts such as 0-2 or 0,5, each once."""
+    """The seeds of texts such as 0-2 or 0,5, each once."""
     seeds: dict[int, None] = {}
     for part in (part for given in parts for part in given.split(",") if part):
         first, _, last = part.partition("-")
@@ -115,7 +115,7 @@ def _seeds(parts: Sequence[str]) -> list[int]:
 def _contenders(
     command: Bench, read: Read[Bench], agents: Sequence[str]
 ) -> Callable[[str], list[Contender]]:
-    """Return a function from a song to who plays it, with the options of the command.
+    """A function from a song to who plays it, with the options of the command.
 
     These go over the options that a policy was trained with.
     """
@@ -145,7 +145,7 @@ def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
 
 
 def _pretrained(read: Read[Bench], song: str) -> Contender | None:
-    """Return the policy that comes with the song; None, with a warning, if there is none."""
+    """The policy that comes with the song; None, with a warning, if there is none."""
     from cadenza.learning.pretrained import pretrained_folder
 
     try:
@@ -188,7 +188,7 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
 
 
 def _result(folder: Path, _: BenchJob) -> str:
-    """Return a line on a run that has finished."""
+    """A line on a run that has finished."""
     from cadenza.evaluation.results import read_result
 
     result = read_result(folder)

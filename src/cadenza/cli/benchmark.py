@@ -124,7 +124,7 @@ def verify(command: Verify) -> None:
 
 
 def _in_words(played: PlayedAgain) -> str:
-    """Return who was played again, and with what result."""
+    """The entry that was played again, and its result."""
     from cadenza.evaluation.benchmark.leaderboard import means
 
     metrics, entry = means(played), played.entry

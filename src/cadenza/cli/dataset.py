@@ -113,7 +113,7 @@ def _demonstrator(command: Collect) -> Demonstrator:
 
 
 def _outcome(folder: Path, _job: BenchJob) -> str:
-    """Return a line on an episode that was recorded."""
+    """A line on an episode that was recorded."""
     from cadenza.demonstrations.recorded_episode import read_facts
 
     made = read_facts(folder)

@@ -130,7 +130,7 @@ def _train(command: ReinforceGeneralist | StrikeGeneralist, kind: type[ExcerptRu
 
 
 def _excerpts(library: str, config: ExcerptConfig) -> list[Score]:
-    """Return excerpts of songs of a library, with velocities of all kinds."""
+    """Excerpts of songs of a library, with velocities of all kinds."""
     from cadenza.evaluation.collecting.variation import excerpt
     from cadenza.learning.algorithms.generalist.excerpts import with_dynamics
 

@@ -114,7 +114,7 @@ def _about_fingering(score: Score) -> str:
 
 
 def _about_hands(score: Score) -> dict[str, str]:
-    """Return how many notes are written for each hand, if the score says so."""
+    """The number of notes written for each hand, if the score says so."""
     from cadenza.fingers import LEFT, RIGHT
 
     if not score.has_written_hands:
@@ -124,7 +124,7 @@ def _about_hands(score: Score) -> dict[str, str]:
 
 
 def usual_players() -> Players:
-    """Return the hands of the default scene, by their reach."""
+    """The hands of the default scene, by their reach."""
     from cadenza.fingering.players import players_at
     from cadenza.fingers import SIDES
     from cadenza.hands.registry import hand_named

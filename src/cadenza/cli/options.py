@@ -71,7 +71,7 @@ class RecordedParts:
 
 
 def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen) -> Read[Command]:
-    """Return a function that reads the command line over defaults and the chosen setup.
+    """A function that reads the command line over defaults and the chosen setup.
 
     The command has the options of those agents that play; those of others are unknown. Raises
     CadenzaError if there is no such setup or agent, or the options of an agent are called like
@@ -133,7 +133,7 @@ def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]
 
 
 def split_agents(words: Sequence[str]) -> list[str]:
-    """Return the agents in words such as "planner,zero"; a policy's folder may have commas."""
+    """The agents in words such as "planner,zero"; a policy's folder may have commas."""
     return [
         name
         for word in words

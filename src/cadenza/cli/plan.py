@@ -69,7 +69,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
 
 
 def _to_replay(command: PlanCommand, path: Path) -> list[str]:
-    """Return the options with which "cadenza play" replays what `command` has planned."""
+    """The options with which "cadenza play" replays what `command` has planned."""
     from cadenza.configs import flat
 
     flags = ["--agent", PLAYBACK, "--plan", str(path)]
@@ -86,7 +86,7 @@ def _to_replay(command: PlanCommand, path: Path) -> list[str]:
 
 
 def _as_option(name: str, value: Any) -> list[str]:
-    """Return the words that give an option this value on a command line."""
+    """The words that give an option this value on a command line."""
     option = name.replace("_", "-")
     if isinstance(value, bool):
         return [f"--{'' if value else 'no-'}{option}"]

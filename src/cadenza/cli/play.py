@@ -15,11 +15,7 @@ from cadenza.cli.arguments import Output, Quiet, SoundFont, Verbose
 from cadenza.cli.options import AGENTS_HELP, Options, Read, setting_up
 from cadenza.cli.practice import practised
 from cadenza.cli.printing import stages, stop_on_signal
-from cadenza.cli.saving import (
-    agent_folder,
-    check_writable,
-    save,
-)
+from cadenza.cli.saving import agent_folder, check_writable, save
 
 if TYPE_CHECKING:
     from cadenza.performing.setup import Setup

@@ -123,9 +123,9 @@ def _resumed(
     Raises CadenzaError if the folder does not say how it was practised, or that cannot be read.
     """
     from cadenza.agents.planner.config import PlannerConfig
-    from cadenza.performing.setup import PRACTISED_HOW
+    from cadenza.performing.setup import PRACTICE_SETTINGS
 
-    where = folder / PRACTISED_HOW
+    where = folder / PRACTICE_SETTINGS
     settings = read_json(where, dict[str, Any]) if where.exists() else {}
     kinds = {"seed": int, "arrangement": Arrangement, "task": TaskConfig, "scene": SceneConfig}
     kinds |= {"song": str, command.options[PLANNER]: PlannerConfig}
@@ -238,7 +238,7 @@ def _practise(
 def _progress(
     practice: Practice, effort: float, minutes: float | None, seconds: float
 ) -> tuple[str, str, float, float]:
-    """Return the stage, its unit, how much of it is done, and how much it is, after `seconds`.
+    """The stage, its unit, how much of it is done, and how much it is, after `seconds`.
 
     The first take and what is finished after the effort say nothing of how long the rest takes.
     """
@@ -249,7 +249,7 @@ def _progress(
 
 
 def _remark(practice: Practice, score: Score) -> str:
-    """Return what stands beside the progress: the scores, what is practised, what is left."""
+    """The remark beside the progress: scores, the present passage, and how many are left."""
     so_far = f"{_scores(practice.history[-1])}, " if practice.history else ""
     how = "another take, " if practice.plays_variant else ""
     num_left = len(practice.passages_with_faults())
@@ -258,11 +258,11 @@ def _remark(practice: Practice, score: Score) -> str:
 
 
 def _scores(row: tuple[float, float, float]) -> str:
-    """Return the scores of an entry of the history."""
+    """The scores of an entry of the history."""
     return "F1 {1:.3f}, note onset F1 {2:.3f}".format(*row)
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:
-    """Return control steps as bars or times of the score, such as "bars 3, 7-9"."""
+    """Control steps as bars or times of the score, such as "bars 3, 7-9"."""
     dt = practice.plan.track.config.control_timestep
     return describe_times(score, [dt * (step + _LATE) for step in steps])

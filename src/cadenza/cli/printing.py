@@ -150,7 +150,7 @@ def _lines(doing: str, unit: str, seconds_between: float) -> Advance:
 
 
 def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
-    """Return the cells of rows as a table, columns aligned by "<" or, beyond `alignment`, ">"."""
+    """The cells of rows as a table, columns aligned by "<" or, beyond `alignment`, ">"."""
     ways = alignment.ljust(len(rows[0]), ">")
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     cells = [f"{way}{width}" for way, width in zip(ways, widths, strict=True)]

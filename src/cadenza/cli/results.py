@@ -56,7 +56,7 @@ def results(command: Results) -> None:
 
 
 def in_text(summary: BenchSummary) -> str:
-    """Return the table of agents for a terminal: means."""
+    """The table of agents for a terminal: means."""
     from cadenza.evaluation.summary import HEADLINES, METRICS, interval_text, metric_text
 
     titles = [METRICS[name].title for name in HEADLINES]

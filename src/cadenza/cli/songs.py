@@ -51,7 +51,7 @@ def songs(command: Songs) -> None:
 
 
 def _all_songs() -> list[Song]:
-    """Return the songs of all libraries once; a library that cannot be read is a warning."""
+    """The songs of all libraries once; a library that cannot be read is a warning."""
     from cadenza.music.libraries.library import distinct_libraries, open_library
 
     listed: list[Song] = []
@@ -81,7 +81,7 @@ def libraries(_: Libraries) -> None:
 
 
 def _splits(library: Library) -> str:
-    """Return the sizes of a library's splits as text, such as "; valid 30, train 422"."""
+    """The sizes of a library's splits as text, such as "; valid 30, train 422"."""
     sizes = Counter(song.split for song in library.songs if song.split)
     return f"; {', '.join(f'{split} {n}' for split, n in sizes.items())}" if sizes else ""
 

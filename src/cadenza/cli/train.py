@@ -88,7 +88,7 @@ class Curves:
 
 
 def default(chosen: Chosen) -> Train:
-    """Return the command with what its options change: a run's training, or that of a preset.
+    """The command with what its options change: a run's training, or that of a preset.
 
     Raises CadenzaError if there is no such run, learner or setup.
     """
@@ -134,7 +134,7 @@ def train(command: Train) -> None:
 
 
 def _name_of(songs: Sequence[str]) -> str:
-    """Return the name of the folder of a run, and what its pages are called."""
+    """The name of the folder of a run, and what its pages are called."""
     from cadenza.music.libraries.library import find_song
 
     first, *more = songs
@@ -143,7 +143,7 @@ def _name_of(songs: Sequence[str]) -> str:
 
 
 def _title(scores: Sequence[Score]) -> str:
-    """Return what a run learns, for its page."""
+    """The title of a run's page."""
     first, *more = scores
     return first.title + (f" and {len(more)} more" if more else "")
 
@@ -278,7 +278,7 @@ def curves(command: Curves) -> None:
 
 
 def _title_and_settings(run: Path) -> list[str]:
-    """Return the song of a run, its preset, and the settings that differ from it but the seed.
+    """The song of a run, its preset, and the settings that differ from it but the seed.
 
     Of a folder with figures only, the name without the number at the end stands for the song.
     """

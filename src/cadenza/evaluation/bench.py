@@ -87,7 +87,7 @@ def bench(
 
 
 def _is_finished(state: BenchState, job: BenchJob) -> bool:
-    """Return whether a run has ended well, and count it if it has."""
+    """Whether a run has ended well, and count it if it has."""
     folder = state.folder / job.spec.name
     finished = state.is_complete(job, folder) and not (folder / FAILED).exists()
     state.finished += finished

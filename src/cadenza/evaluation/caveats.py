@@ -18,7 +18,7 @@ _AS_WRITTEN = dict(flat(plain(_MUSIC)))  # options of a job that leave a piece u
 
 
 def usable(bench: BenchResults) -> list[Result]:
-    """Return the results that can be summed up."""
+    """The results that can be summed up."""
     return [result for result in bench.results if _has_f1(result)]
 
 
@@ -55,7 +55,7 @@ def _differences(results: Sequence[Result]) -> Iterator[str]:
 
 
 def by_name(pairs: Iterable[tuple[str, _T]]) -> dict[str, list[_T]]:
-    """Return name -> all values that are paired with it, such as the results of each agent."""
+    """Name -> all values that are paired with it, such as the results of each agent."""
     groups: dict[str, list[_T]] = {}
     for name, value in pairs:
         groups.setdefault(name, []).append(value)
@@ -95,12 +95,12 @@ def _differing(
 
 
 def _runs_of(agents: Sequence[str]) -> str:
-    """Return the number of runs of these agents, in words."""
+    """The number of runs of these agents, in words."""
     return f"{counted(len(agents), 'run')} ({', '.join(dict.fromkeys(agents))})"
 
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:
-    """Return a line for each option that changes the music."""
+    """A line for each option that changes the music."""
     jobs = [(result.agent, dict(flat(result.job))) for result in results]
     changes = by_name(
         (f"{name} {job[name]}", agent)
@@ -112,7 +112,7 @@ def _not_as_written(results: Sequence[Result]) -> list[str]:
 
 
 def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
-    """Return a line for each agent that has fewer runs or pieces than others."""
+    """A line for each agent that has fewer runs or pieces than others."""
     songs = by_name((result.agent, result.song.name) for result in results)
     all_songs = {result.song.name for result in results}
     max_runs = max(map(len, songs.values()))

@@ -54,7 +54,7 @@ class JobSpec:
         return self.config if isinstance(self.config, TrainingConfig) else None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the job as JSON."""
+        """The job as JSON."""
         return plain(asdict(self))
 
     @cached_property
@@ -121,7 +121,7 @@ def bench_jobs(
     arrangement: Arrangement,
     pages: Pages = "first-seed",
 ) -> list[BenchJob]:
-    """Return all runs, each once: those of the first seed come first.
+    """All runs, each once: those of the first seed come first.
 
     `contenders` returns the agents that play a song of this name; `pages` tells which runs write a
     page.
@@ -144,13 +144,13 @@ def bench_jobs(
 
 
 def key_of(content: Any) -> str:
-    """Return the hash of a JSON value, such as `JobSpec.as_json`."""
+    """The hash of a JSON value, such as `JobSpec.as_json`."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
 
 
 def digest_of_files(*configs: Any, others: Sequence[Path] = ()) -> str:
-    """Return a hash of the files that these options name, and of others; empty without any.
+    """A hash of the files that these options name, and of others; empty without any.
 
     Raises CadenzaError if a file is missing, or cannot be read.
     """
@@ -159,7 +159,7 @@ def digest_of_files(*configs: Any, others: Sequence[Path] = ()) -> str:
 
 
 def songs_of(library: Library) -> list[tuple[SongFacts, str]]:
-    """Return the facts and the hash of each song.
+    """The facts and the hash of each song.
 
     A song that cannot be read is left out, with a warning.
     """
@@ -179,7 +179,7 @@ def _facts(song: Song, library: Library) -> SongFacts:
 
 
 def song_digest(song: Song) -> str:
-    """Return a hash of the song's files, which is fast, or of its notes if it has no file.
+    """A hash of the song's files, which is fast, or of its notes if it has no file.
 
     Raises CadenzaError if a file cannot be read, or a song without one cannot be made.
     """

@@ -108,7 +108,7 @@ def _end_with_parent() -> None:
 
 
 def _stop_requested() -> Callable[[], bool]:
-    """Return a function that tells whether SIGTERM has come; training then saves and ends."""
+    """A function that tells whether SIGTERM has come; training then saves and ends."""
     signals = list[int]()
     signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     return lambda: bool(signals)

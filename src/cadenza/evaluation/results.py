@@ -135,7 +135,7 @@ def read_results(folder: str | Path) -> BenchResults:
 
 
 def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:
-    """Return names of runs, and plans that cannot be read."""
+    """Names of runs, and plans that cannot be read."""
     names, unreadable = set[str](), list[MissingRun]()
     for path in plans:
         try:
@@ -146,7 +146,7 @@ def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:
 
 
 def read_result(run: Path) -> Result:
-    """Return the result of a finished run.
+    """The result of a finished run.
 
     Raises CadenzaError or OSError if it is missing, cannot be read, or is that of another run.
     """
@@ -162,7 +162,7 @@ def read_result(run: Path) -> Result:
 
 
 def is_finished(_job: object, run: Path) -> bool:
-    """Return whether a job has a result that can be read; a damaged one does not count."""
+    """Whether a job has a result that can be read; a damaged one does not count."""
     if not (run / RESULT).exists():
         return False
     try:
@@ -173,7 +173,7 @@ def is_finished(_job: object, run: Path) -> bool:
 
 
 def failure(run: Path) -> str | None:
-    """Return the reason why a run has failed, in a line; None if it has not.
+    """The reason why a run has failed, in a line; None if it has not.
 
     Raises CadenzaError or OSError if the file cannot be read.
     """

@@ -24,14 +24,7 @@ from pathlib import Path
 from cadenza.agents.agent import Progress
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import BenchJob, JobSpec, song_digest
-from cadenza.evaluation.results import (
-    FORMAT,
-    RESULT,
-    ResultFile,
-    Timing,
-    Trained,
-    is_finished,
-)
+from cadenza.evaluation.results import FORMAT, RESULT, ResultFile, Timing, Trained, is_finished
 from cadenza.evaluation.run_status import claimed_run, progress_writer
 from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
@@ -57,7 +50,7 @@ def check_song(spec: JobSpec) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the programs that a result depends on."""
+    """The versions of the programs that a result depends on."""
     python = {"python": platform.python_version(), "platform": platform.platform()}
     return python | installed_versions(_VERSIONS)
 

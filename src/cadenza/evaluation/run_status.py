@@ -13,10 +13,7 @@ from typing import Any
 from cadenza.agents.agent import Progress
 from cadenza.errors import CadenzaError, in_a_line
 from cadenza.evaluation.jobs import BenchJob
-from cadenza.evaluation.results import (
-    FAILED,
-    FORMAT,
-)
+from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.files import read_json, write_json
 from cadenza.resumable import ResumableFolder
 
@@ -36,7 +33,7 @@ class RunProgress:
 
 
 def folder_of(job: BenchJob, path: Path) -> ResumableFolder:
-    """Return the folder of a run, whose name has the hash of its manifest."""
+    """The folder of a run, whose name has the hash of its manifest."""
     return ResumableFolder(path, job.command, "another process carries it out", "job.json")
 
 
@@ -69,7 +66,7 @@ def write_failure(folder: Path, error: str) -> None:
 
 
 def read_progress(folder: Path) -> RunProgress | None:
-    """Return the progress of the run; None if it cannot be read now."""
+    """The progress of the run; None if it cannot be read now."""
     with suppress(CadenzaError):
         return read_json(folder / _PROGRESS, RunProgress)
     return None
@@ -94,7 +91,7 @@ def _output_to(path: Path) -> Iterator[None]:
 
 
 def progress_writer(folder: Path) -> Progress:
-    """Return a function that writes the progress of the run now and then."""
+    """A function that writes the progress of the run now and then."""
     last = -_PROGRESS_INTERVAL
 
     def write(stage: str, done: int, total: int) -> None:

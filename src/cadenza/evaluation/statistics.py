@@ -19,7 +19,7 @@ _SEED = 0  # of the bootstrap: the same runs have the same intervals
 
 
 def mean(scores: Scores) -> Scores:
-    """Return the mean over pieces (...) of the mean over the runs of each.
+    """The mean over pieces (...) of the mean over the runs of each.
 
     Resampled scores (..., runs, pieces) all have the same NaN.
     """
@@ -27,7 +27,7 @@ def mean(scores: Scores) -> Scores:
 
 
 def bootstrap_interval(scores: Scores) -> tuple[float, float]:
-    """Return both ends of the interval of the `mean` of scores (runs, pieces).
+    """Both ends of the interval of the `mean` of scores (runs, pieces).
 
     It is the stratified percentile bootstrap of section 4.1: the runs of each piece are resampled
     with replacement, as many as there are. It shows the variation with the seeds, for these very
@@ -42,7 +42,7 @@ def bootstrap_interval(scores: Scores) -> tuple[float, float]:
 
 
 def _differ(scores: Scores) -> NDArray[np.bool_]:
-    """Return whether some run of a piece differs from another (pieces,)."""
+    """Whether some run of a piece differs from another (pieces,)."""
     lowest = np.fmin.reduce(scores, axis=0, initial=np.inf)
     return np.asarray(np.fmax.reduce(scores, axis=0, initial=-np.inf) > lowest)
 
@@ -57,7 +57,7 @@ def _resampled(scores: Scores, rng: np.random.Generator) -> Scores:
 
 
 def mean_interval(scores: Scores) -> tuple[Scores, Scores, Scores]:
-    """Return the mean of each piece over its runs, and both ends of its interval; each (pieces,).
+    """The mean of each piece over its runs, and both ends of its interval; each (pieces,).
 
     Student's t interval, `mean -+ t s / sqrt(n)` with n - 1 degrees of freedom, because a bootstrap
     of few runs is too narrow. The ends are NaN for a piece with a single run or equal runs; all are

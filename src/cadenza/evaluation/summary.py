@@ -130,12 +130,12 @@ class BenchSummary:
 
 
 def metric_text(name: str, value: float) -> str:
-    """Return the value of one of `METRICS` as text; a dash if it is unknown."""
+    """The value of one of `METRICS` as text; a dash if it is unknown."""
     return "–" if math.isnan(value) else f"{value:z.{METRICS[name].decimals}f}".replace("-", "−")
 
 
 def interval_text(name: str, estimate: Estimate) -> str:
-    """Return both ends of the interval as text; nothing if there is none."""
+    """Both ends of the interval as text; nothing if there is none."""
     if math.isnan(estimate.low):
         return ""
     return f"{metric_text(name, estimate.low)}–{metric_text(name, estimate.high)}"
@@ -146,7 +146,7 @@ AllScores = Mapping[str, Mapping[str, Scores]]
 
 
 def summarize(bench: BenchResults, title: str) -> BenchSummary:
-    """Return the summary of the runs of a bench; raises CadenzaError if there is none to sum up."""
+    """The summary of the runs of a bench; raises CadenzaError if there is none to sum up."""
     results = usable(bench)  # in the order of `BenchSummary.runs`
     if not results:
         raise CadenzaError(f"{title}: no run is finished; run cadenza bench first")
@@ -190,7 +190,7 @@ def _piece(result: Result) -> SongFacts:
 
 
 def _agent_names(agents: Iterable[str]) -> dict[str, str]:
-    """Return the name of each agent: for the absolute path of a folder, its end."""
+    """The name of each agent: for the absolute path of a folder, its end."""
     names = {agent: agent for agent in agents}
     short = {agent: Path(agent).parts[-2:] for agent in names if Path(agent).is_absolute()}
     if len(set(short.values())) == len(short):
@@ -199,7 +199,7 @@ def _agent_names(agents: Iterable[str]) -> dict[str, str]:
 
 
 def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
-    """Return all of `METRICS` from those of `cadenza play`, NaN for unknown values."""
+    """All of `METRICS` from those of `cadenza play`, NaN for unknown values."""
     music = timing.music_seconds or math.nan
     shares = {name: _number(metrics.get(name)) for name in SHARES}
     return shares | {
@@ -221,7 +221,7 @@ def _number(value: Any) -> float:
 
 
 def _scores(runs: Sequence[RunSummary], metric: str, num_pieces: int) -> Scores:
-    """Return a metric of the runs of an agent (runs, pieces)."""
+    """A metric of the runs of an agent (runs, pieces)."""
     by_piece: list[list[float]] = [[] for _ in range(num_pieces)]
     for run in runs:
         if not math.isnan(value := run.metrics[metric]):
@@ -231,12 +231,12 @@ def _scores(runs: Sequence[RunSummary], metric: str, num_pieces: int) -> Scores:
 
 
 def _played(scores: Scores) -> set[int]:
-    """Return the indices of the pieces that have a score (runs, pieces)."""
+    """The indices of the pieces that have a score (runs, pieces)."""
     return set(np.flatnonzero(~np.isnan(scores).all(axis=0)).tolist())
 
 
 def _rank(scores: Mapping[str, Scores]) -> tuple[float, ...]:
-    """Return a sort key: number of pieces, note onset F1 and F1, all descending."""
+    """A sort key: number of pieces, note onset F1 and F1, all descending."""
     f1, onsets = scores["f1"], scores["note_onset_f1"]
     f1_pieces, onset_pieces = sorted(_played(f1)), sorted(_played(onsets))
     onset_f1 = float(mean(onsets[:, onset_pieces])) if onset_pieces else 0.0
@@ -244,7 +244,7 @@ def _rank(scores: Mapping[str, Scores]) -> tuple[float, ...]:
 
 
 def _by_piece(scores: AllScores, metric: str) -> Estimate:
-    """Return means over seeds and their intervals, arrays (agents, pieces)."""
+    """Means over seeds and their intervals, arrays (agents, pieces)."""
     by_agent = [_clipped_interval(agent_scores[metric], metric) for agent_scores in scores.values()]
     return Estimate(*np.stack(by_agent, axis=1))
 
@@ -282,7 +282,7 @@ def _group(name: str, pieces: Sequence[int], scores: AllScores) -> Group:
 
 
 def _estimate(scores: Scores, metric: str) -> Estimate:
-    """Return the mean of scores (runs, pieces) over pieces with scores, and its interval.
+    """The mean of scores (runs, pieces) over pieces with scores, and its interval.
 
     The interval of a single piece is the same as in the table of pieces.
     """

@@ -95,7 +95,7 @@ def write_figure(path: Path, summary: BenchSummary) -> None:
 
 
 def _figure(summary: BenchSummary) -> dict[str, Any]:
-    """Return the data of `figure.svg`: a chart for each row, and a bar in it for each column."""
+    """The data of `figure.svg`: a chart for each row, and a bar in it for each column."""
     tables = [*summary.by_piece["note_onset_f1"], summary.by_piece["f1"].value]
     rows, columns = list(summary.agents), [piece.title for piece in summary.pieces]
     legends = [_means_text(summary, agent) for agent in rows]
@@ -141,7 +141,7 @@ def _figure(summary: BenchSummary) -> dict[str, Any]:
 
 
 def _means_text(summary: BenchSummary, agent: str) -> str:
-    """Return the means of an agent over all of its pieces."""
+    """The means of an agent over all of its pieces."""
     parts = []
     for name, mark in (("note_onset_f1", "bars"), ("f1", "dots")):
         mean = summary.groups[0].agents[agent].mean[name]

@@ -71,7 +71,7 @@ def _runs(summary: BenchSummary, folder: Path) -> Iterator[Row]:
 
 
 def _column(name: str, result: Result) -> str:
-    """Return the column of a metric; a reward has one for each choice of rewarded fingers."""
+    """The column of a metric; a reward has one for each choice of rewarded fingers."""
     fingers = result.metrics.get("rewarded_fingers")
     return f"{name}, fingers: {fingers}" if name in _FINGER_REWARDS and fingers else name
 

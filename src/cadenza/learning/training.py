@@ -53,10 +53,7 @@ class _Progress:
 
 
 def begin(
-    config: TrainingConfig,
-    scores: Sequence[Score],
-    folder: RunFolder,
-    progress: Progress = silent,
+    config: TrainingConfig, scores: Sequence[Score], folder: RunFolder, progress: Progress = silent
 ) -> Training:
     """Begin a run in a folder, and report progress as `problem_of`.
 

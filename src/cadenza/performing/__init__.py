@@ -1,1 +1,1 @@
-"""Has an agent play a song, and writes the files of a performance or a plan."""
+"""Performances of songs by agents, plans and practice, and their files."""

@@ -1,4 +1,4 @@
-"""Arranges songs that the hands of a scene cannot play as written."""
+"""Arrangements of songs that the hands of a scene cannot play as written."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack, players_of
 
 _MAX_OUT_OF_REACH = 0.1  # share of the notes of music for one instrument, as it is for hands
-# Share of the notes of music for several that may be foreseen to be missed: in passages of string
-# quartets as written, the planner missed two or three times as many. Six that are arranged for it
-# are played with note onset F1 0.96; as written, four with 0.06 foreseen had 0.81 to 0.89.
+# Share of notes of music for several that may be foreseen to be missed. In passages of string
+# quartets as written, the planner missed two or three times the foreseen share: four with 0.06
+# foreseen had note onset F1 0.81 to 0.89. Six quartets that were arranged for it have 0.96.
 _MAX_MISSED = 0.04
-# Grade up to which a song is arranged if no level is chosen. Of three quartets that were harder at
-# first, the planner plays what is left with note onset F1 0.97 to 1.00, not 0.88 to 0.97.
+# Grade up to which a song is arranged if no level is chosen. The planner plays three quartets that
+# were harder with note onset F1 0.97 to 1.00 so, instead of 0.88 to 0.97.
 _WELL_PLAYED = 6.1
-_MAX_OF_LINES = 0.01  # of its melody and bass, which hands may leave out
+_MAX_LOST_LINES = 0.01  # share of the melody and the bass that hands may leave out
 _TWO_HANDS = 2  # tracks of one player
 
 
@@ -49,7 +49,7 @@ class HandArrangement:
         return f"arranged for {self.hands}: {self.arranged.fidelity}"
 
     def performed(self, arrangement: Arrangement) -> HandArrangement:
-        """The same with expression: its rules apply to what is arranged, and the song follows."""
+        """Apply expression to the arrangement; the song follows its tempo."""
         score, moved = performed_with_times(
             self.arranged.score, arrangement.expression, arrangement.rules
         )
@@ -80,7 +80,7 @@ class HandArrangement:
         }
 
     def fates(self, track: GoalTrack) -> Iterator[Fate]:
-        """Yield what became of each note that the keyboard has, on the clock of the track."""
+        """Yield the fate of each note that the keyboard has, on the clock of the track."""
         at, transposed = self._clock(track)
         silence = track.silent_steps * track.config.control_timestep
         for note, played in self.arranged.fates:
@@ -99,9 +99,9 @@ class HandArrangement:
 
     def _clock(self, track: GoalTrack) -> tuple[Callable[[float], float], int]:
         """The function from times of the song to those of a track [s], and the semitones to it."""
-        own, theirs = self.arranged.score, track.score
-        first, begins = own.notes[0], theirs.notes[0]
-        stretch = (theirs.total_time - begins.start) / (own.total_time - first.start)
+        own, others = self.arranged.score, track.score
+        first, begins = own.notes[0], others.notes[0]
+        stretch = (others.total_time - begins.start) / (own.total_time - first.start)
         return (
             lambda time: begins.start + (time - first.start) * stretch,
             begins.pitch - first.pitch,
@@ -115,13 +115,13 @@ def arranged_for(
     progress: Progress = silent,
     as_it_is: bool = False,
 ) -> tuple[GoalTrack, HandArrangement | None]:
-    """What the hands of a scene play of a song, and its arrangement; None if it is as written.
+    """The track that the hands of a scene play of a song, and its arrangement; None if as written.
 
-    That is so if it is played `as_it_is`, with `arrange="off"`, and with "auto" and no level where
-    the plan of what the `task` plays foresees few losses: 10 % of the notes are out of reach in
-    music for one instrument, or 4 % missed in other music, of whose melody and bass 1 % may be left
-    out. `progress` gets "fingers". Raises CadenzaError if the song has no notes, or is to be
-    arranged, and the scene has no hands.
+    A song is played as written if it is played `as_it_is`, with `arrange="off"`, and with "auto"
+    and no level if the plan foresees few losses. In music for one instrument, 10 % of the notes may
+    be out of reach; in other music 4 % may be missed, and 1 % of melody and bass be left out.
+    `progress` gets "fingers". Raises CadenzaError if the song has no notes, or is to be arranged,
+    and the scene has no hands.
     """
     fingers, arrangement = partial(progress, "fingers"), song.arrangement
     as_written = as_it_is or arrangement.arrange == "off" or not song.score.notes
@@ -144,8 +144,8 @@ def arrange_song(song: LoadedSong, scene: Scene) -> HandArrangement:
     grade = _WELL_PLAYED if level is None else level
     original = song.written or song.score
     arranged = Arranger(players, scene.hand.jump_times).arrange(original, grade)
-    made = HandArrangement(original, arranged, players.description)
-    return made if song.written is None else made.performed(song.arrangement)
+    arrangement = HandArrangement(original, arranged, players.description)
+    return arrangement if song.written is None else arrangement.performed(song.arrangement)
 
 
 def _is_playable(track: GoalTrack, progress: Callable[[int, int], None]) -> bool:
@@ -158,7 +158,7 @@ def _is_playable(track: GoalTrack, progress: Callable[[int, int], None]) -> bool
         (note.start, note.pitch) for note in sources_of(track.score) if note.melody or note.bass
     }
     lost = sum((note.start, note.pitch) in lines for note, _ in dropped)
-    return foreseen_misses(track) <= _MAX_MISSED and lost <= _MAX_OF_LINES * len(lines)
+    return foreseen_misses(track) <= _MAX_MISSED and lost <= _MAX_LOST_LINES * len(lines)
 
 
 def _is_for_several(score: Score) -> bool:

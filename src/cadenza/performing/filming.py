@@ -79,7 +79,7 @@ def write_film(
     voice: Tone = tone,
     progress: Progress = silent,
 ) -> Path:
-    """Write the film of a performance, or its sound alone if the ending of the name says so.
+    """Write the film of a performance, or its sound alone, by the ending of the name.
 
     `folder` is what `Performance.save` wrote, `FILM` in it the film by default.
 
@@ -108,14 +108,14 @@ def write_film(
             f"nothing to show from {start:g} s to {end:g} s: what was played lasts {length:.1f} s"
         )
     browser = find_browser() if is_film else ""
-    whole = synthesize(played_in(episode), voice=voice)
+    sound = synthesize(played_in(episode), voice=voice)
     last = None if look.seconds is None else round(end * SAMPLE_RATE)  # or it rings on
-    audio = whole[round(start * SAMPLE_RATE) : last]
+    audio = sound[round(start * SAMPLE_RATE) : last]
     if not is_film:
         write_sound(path, audio, seconds=end - start)
         return path
-    asked = asdict(look) | {"end": end, "silent": True}
-    _add_sound(_drawn(page.read_text("utf-8"), browser, asked, progress), audio, path)
+    options = asdict(look) | {"end": end, "silent": True}
+    _add_sound(_drawn(page.read_text("utf-8"), browser, options, progress), audio, path)
     return path
 
 
@@ -124,36 +124,38 @@ def find_browser() -> str:
 
     Raises CadenzaError if there is none. Returns its path.
     """
-    found = next(filter(None, map(shutil.which, _NAMES)), None)
-    if found is None:
+    browser = next(filter(None, map(shutil.which, _NAMES)), None)
+    if browser is None:
         raise CadenzaError(
             "a film is drawn by Chrome, Chromium or Edge, and none is here: install one (on Debian "
             'and Ubuntu, "apt install chromium"), or press Film on the page report.html elsewhere'
         )
-    return found
+    return browser
 
 
-def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -> IO[bytes]:
-    """Return the film that is asked for, without sound, as a browser draws and sends it.
+def _drawn(page: str, browser: str, options: dict[str, Any], progress: Progress) -> IO[bytes]:
+    """The film with these options, without sound, as a browser draws and sends it.
 
     Raises CadenzaError if the browser ends, sends nothing for five minutes, or cannot draw.
     """
     token, events = secrets.token_urlsafe(16), queue.Queue[tuple[list[str], bytes]]()
-    allowed = page.replace(_POLICY, f"{_POLICY} connect-src 'self';", 1)  # to send its film here
+    page_with_access = page.replace(
+        _POLICY, f"{_POLICY} connect-src 'self';", 1
+    )  # to send its film here
 
     class Handler(BaseHTTPRequestHandler):
         """Answers the page, and takes what it sends."""
 
         def do_GET(self) -> None:
-            _, given, *words = self.path.split("/")
-            is_known, is_sent = given == token, self.command == "POST"
+            _, sent_token, *words = self.path.split("/")
+            is_known, is_sent = sent_token == token, self.command == "POST"
             if is_known and is_sent:
                 events.put((words, self.rfile.read(int(self.headers["content-length"] or 0))))
             self.send_response(200 if is_known else 404)
             self.send_header("content-type", "text/html; charset=utf-8")
             self.end_headers()
             if is_known and not is_sent:
-                self.wfile.write(allowed.encode("utf-8", "replace"))
+                self.wfile.write(page_with_access.encode("utf-8", "replace"))
 
         def do_POST(self) -> None:
             self.do_GET()
@@ -171,7 +173,9 @@ def _drawn(page: str, browser: str, asked: dict[str, Any], progress: Progress) -
         flags = [*_FLAGS, f"--user-data-dir={profile}"]
         if sys.platform == "linux" and os.geteuid() == 0:
             flags.append("--no-sandbox")  # it refuses to run as root otherwise; the page is our own
-        address = f"http://127.0.0.1:{server.server_port}/{token}/?film={quote(json.dumps(asked))}"
+        address = (
+            f"http://127.0.0.1:{server.server_port}/{token}/?film={quote(json.dumps(options))}"
+        )
         process = subprocess.Popen([browser, *flags, address], stdout=DEVNULL, stderr=DEVNULL)
         ends.enter_context(process)
         ends.callback(process.terminate)

@@ -66,7 +66,7 @@ class Performance:
     misses: list[Miss] | None
     """Notes that were missed or let go early, and why; None without a plan to tell by."""
     fates: list[Fate] | None = None
-    """What became of each note of a song that was arranged for the hands; None if it was not."""
+    """The fate of each note of a song that was arranged for the hands; None if it was not."""
     advice: Advice | None = None
     """What to try where much of the song was lost."""
 
@@ -75,7 +75,7 @@ class Performance:
         return f"Performance({self.score.title!r} by {agent}, {self.seconds:.1f} s, F1 {f1:.3f})"
 
     def _repr_html_(self) -> str:
-        """Return the page of `save` for a notebook; for long music, only how to see the page."""
+        """The page of `save` for a notebook; for long music, only how to see the page."""
         if self.seconds > _IN_A_NOTEBOOK:
             what, how = html.escape(repr(self)), "<code>.save(folder)</code> writes report.html"
             return f"<p>{what} is long; {how}, the page to watch and hear it.</p>"
@@ -126,9 +126,9 @@ class Performance:
             voice: what makes the notes of its sound; the built-in piano unless it is another.
         """
         folder, played = Path(folder), self.played
-        write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
+        write_json(folder / "settings.json", self.settings)  # first, see `check_replaceable`
         for name in _REPLACED:
-            (folder / name).unlink(missing_ok=True)  # it tells of another performance
+            (folder / name).unlink(missing_ok=True)
         self.episode.save(folder / "episode.npz")
         for side, part in hand_episodes(self.episode, self.scene).items():
             part.save(folder / f"episode-{side}.npz")
@@ -137,15 +137,15 @@ class Performance:
             write_json(folder / "misses.json", self.losses)
         if self.fates is not None:
             write_json(folder / "arrangement.json", [fate.as_json for fate in self.fates])
-        heard = replace(self.goal, notes=played.notes, pedal=played.pedal)
-        write_midi_sheet(heard, folder / "played.mid")
+        sheet = replace(self.goal, notes=played.notes, pedal=played.pedal)
+        write_midi_sheet(sheet, folder / "played.mid")
         write_midi_sheet(self.goal, folder / "wanted.mid")
         if page:
             progress("making the sound", 0, 1)
             write_page(folder / "report.html", self._page(folder, voice))
 
     def _page(self, folder: Path, voice: Tone) -> Iterator[str]:
-        """Return the page, see `performance_page`, with the MIDI files that lie in the folder."""
+        """The page, see `performance_page`, with the MIDI files in the folder."""
         seconds, written = self.seconds, self.fingered_goal.until(self.seconds)
         return performance_page(
             self.episode,
@@ -181,7 +181,7 @@ def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
 
 
 def _are_results(folder: Path) -> bool:
-    """Return whether a performance was saved in the folder."""
+    """Whether a performance was saved in the folder."""
     try:
         settings = read_json(folder / "settings.json", dict[str, Any])
     except CadenzaError:
@@ -279,7 +279,7 @@ def _energy(metrics: Mapping[str, Any], task: TaskConfig) -> float | None:
 
 
 def hand_episodes(episode: Episode, scene: Scene) -> dict[Side, Episode]:
-    """Return side -> the episode of that hand in its own scene; empty if they play together."""
+    """Side -> the episode of that hand in its own scene; empty if hands play together."""
     apart = f"{SIDES[0]}_key_qpos" in episode.arrays
     return {side: _hand_episode(episode, scene, side) for side in scene.sides} if apart else {}
 

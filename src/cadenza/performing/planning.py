@@ -91,7 +91,7 @@ class Plan:
 
 
 def fingering_of(plan: Path) -> Path:
-    """The file for a plan's fingers, which goes with no song: that of `song.mid` is called else."""
+    """The file of a plan's fingers, which is not named as those of `song.mid` are."""
     return plan.with_name(plan.name + SUFFIX)
 
 

@@ -17,19 +17,19 @@ from cadenza.agents.rollout import begin_episodes
 from cadenza.errors import CadenzaError
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
-from cadenza.performing.setup import PRACTICE, PRACTISED_HOW, Setup
+from cadenza.performing.setup import PRACTICE, PRACTICE_SETTINGS, Setup
 from cadenza.resumable import RateLimited, ResumableFolder
 from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import Threads
 
-_SAVE_INTERVAL = 20.0  # [s] at least between two times that practice is saved, or its plan
+_MIN_SAVE_INTERVAL = 20.0  # [s] between two saves of practice, or of its plan
 _MAX_SAVING = 0.05  # share of the time that is spent on saving
 
 
 def practice_folder(path: Path) -> ResumableFolder:
-    """Return the folder of practice, whose manifest says of what song, in what task and scene."""
+    """The folder of practice, whose manifest has the song, the task and the scene."""
     locked_out = "somebody practises there; choose another folder with --output"
-    return ResumableFolder(path, "cadenza practice", locked_out, PRACTISED_HOW)
+    return ResumableFolder(path, "cadenza practice", locked_out, PRACTICE_SETTINGS)
 
 
 def check_is_practice(folder: Path) -> None:
@@ -41,26 +41,26 @@ def check_is_practice(folder: Path) -> None:
 
 
 class Practising:
-    """Practice of what was set up, from where the folder says that it was left.
+    """Practice of a setup, resumed from its folder.
 
     Attributes:
         practice: the practice itself.
         performance: the performance of the last plan that was saved, or ended early.
         save_if_due: saves as `save` does, for at most a small share of the time.
-        save_plan_if_due: the same for `save_plan`, which takes much longer: it plays the song.
+        save_plan_if_due: the same for `save_plan`, which takes much longer, as it plays the song.
     """
 
     def __init__(self, setup: Setup, folder: ResumableFolder, progress: Progress = silent) -> None:
-        """Restore what was practised in the folder, and write what it is practice of.
+        """Restore the practice in the folder, and write its settings.
 
-        Whoever practises locks the folder; `progress` gets "fingers" and "postures". Raises
+        The caller must hold the folder's lock; `progress` gets "fingers" and "postures". Raises
         CadenzaError if the folder holds practice of something else, or it cannot be read.
         """
         assert isinstance(setup.agent, Planner)
         self._setup, self._agent, self._path = setup, setup.agent, folder.path / PRACTICE
         self.performance: Performance | None = None
-        self.save_if_due = RateLimited(self.save, _SAVE_INTERVAL, _MAX_SAVING)
-        self.save_plan_if_due = RateLimited(self.save_plan, _SAVE_INTERVAL, _MAX_SAVING)
+        self.save_if_due = RateLimited(self.save, _MIN_SAVE_INTERVAL, _MAX_SAVING)
+        self.save_plan_if_due = RateLimited(self.save_plan, _MIN_SAVE_INTERVAL, _MAX_SAVING)
         (rng,) = begin_episodes(setup.task, [setup.seed])
         config, threads = replace(setup.agent.config, effort=0.0), Threads(setup.agent.threads)
         context = PlanningContext(config, threads, progress)
@@ -73,11 +73,11 @@ class Practising:
         folder.write_manifest(settings)
 
     def save(self) -> None:
-        """Save in the folder how far practice has got."""
+        """Save the state of practice in the folder."""
         self.practice.save(self._path)
 
     def save_plan(self) -> None:
-        """Perform what is played best so far, and save it in the folder for `cadenza play`.
+        """Perform the best plan so far, and save it in the folder for `cadenza play`.
 
         Nothing is saved if the performance ended early, because of a wrong key, or if the task is
         not played on the nominal model.
@@ -93,7 +93,7 @@ class Practising:
             plan.save(self._path.with_name(PRACTISED))
 
     def best(self) -> Setup:
-        """The setup in which what is played best so far plays, with its fingers."""
+        """The setup that plays the best plan so far, with its fingers."""
         return self._setup_with(self.practice.best().practised)
 
     def _setup_with(self, practised: PractisedPlan) -> Setup:

@@ -1,4 +1,4 @@
-"""Replays an episode that was recorded in a folder of demonstrations."""
+"""Replays of episodes that were recorded in a folder of demonstrations."""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -44,18 +44,18 @@ def task_of(recorded: RecordedEpisode, scene: Scene) -> Iterator[PianoTask]:
 
 def replay_episode(recorded: RecordedEpisode, progress: Progress = silent) -> Performance:
     """Play a recorded episode again, with the noise that it was recorded with."""
-    about = recorded.facts
+    facts = recorded.facts
     scene = recorded.build_scene()
     with task_of(recorded, scene) as task:
         settings = {
-            "song": about.song,
-            "agent": about.job["agent"],
-            "seed": about.job["seed"],
+            "song": facts.song,
+            "agent": facts.job["agent"],
+            "seed": facts.job["seed"],
             "plan": None,
-            "arrangement": about.job["arrangement"],
-            "task": asdict(about.task),
-            "scene": asdict(about.scene),
-            "drawn": about.drawn,
+            "arrangement": facts.job["arrangement"],
+            "task": asdict(facts.task),
+            "scene": asdict(facts.scene),
+            "drawn": facts.drawn,
         }
         player = Playback(played_actions(recorded.steps, scene))
         setup = Setup(recorded.score, player, task, 0, settings, {})

@@ -1,4 +1,4 @@
-"""Who plays, and the task in which a song is played, made once from names and options."""
+"""Players and tasks, made once from names and options of a performance."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cadenza.agents.registry import (
     options_name,
 )
 from cadenza.configs import MAX_SEED, as_config, whole_number
-from cadenza.errors import CadenzaError, CadenzaWarning, quoted
+from cadenza.errors import CadenzaError, CadenzaWarning, counted, quoted
 from cadenza.files import TENSORS
 from cadenza.learning.learnt_policy import LearntPolicy
 from cadenza.learning.policy_folder import load_policy
@@ -42,8 +42,8 @@ from cadenza.tasks.config import TaskConfig, task_identity
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 
-PRACTICE = f"practice{TENSORS}"  # how far the song of a folder has been practised
-PRACTISED_HOW = "practice.json"  # in what task and scene
+PRACTICE = f"practice{TENSORS}"  # the state of practice of a song in a folder
+PRACTICE_SETTINGS = "practice.json"  # its task and scene
 
 SomeAgent = str | Path | Agent | LearntPolicy
 
@@ -70,7 +70,7 @@ class Player:
         return replace(self, task=task, scene=scene)
 
     def known(self, song: LoadedSong) -> LoadedSong | None:
-        """The song, or what is written for the hands, if just that was learnt or practised.
+        """The song or the notes written for the hands, whichever was learnt or practised.
 
         Fingers may differ. None if neither was. Raises CadenzaError if nothing is written for the
         one hand that plays.
@@ -91,7 +91,7 @@ def find_player(
     configs: Mapping[str, Any] | None = None,
     plan: str | Path | None = None,
 ) -> Player:
-    """Find who plays.
+    """Find the player of a song.
 
     Raises CadenzaError if the agent is not there, or cannot be used.
 
@@ -100,8 +100,8 @@ def find_player(
             training run or of practice; a policy on the hub, as `hub:OWNER/NAME`; a policy; or an
             agent. None is the planner.
         song: the song, by whose name "pretrained" finds its policy.
-        configs: agent's name -> its options, see `make_agent`. Those of the planner hold for the
-            search of what was practised, too.
+        configs: agent's name -> its options, see `make_agent`. The planner's options hold for
+            practised plans, too.
         plan: the file whose actions "playback" plays.
     """
     configs = configs or {}
@@ -129,7 +129,7 @@ def _without_fingers(song: LoadedSong) -> tuple[object, object]:
 
 
 def _with_plan(plan: str | Path, configs: Mapping[str, Any]) -> Player:
-    """Who plays a plan: open loop or, if it was practised, with feedback and a search."""
+    """The player of a plan: open loop or, if it was practised, with feedback and a search."""
     if not isinstance(plan, str | Path):
         raise CadenzaError(f"plan {quoted(plan)}: give the path of a file")
     saved = load_plan(Path(plan))
@@ -150,10 +150,10 @@ def _practised_hands(plan: SavedPlan, configs: Mapping[str, Any]) -> PractisedHa
 
 
 def _practised(name: str, configs: Mapping[str, Any]) -> Player | None:
-    """Who plays the practised song in a folder; None if nothing was practised there."""
+    """The player of the practised song in a folder; None if nothing was practised there."""
     folder = Path(name)
     if not (path := folder / PRACTISED).is_file():
-        if any((folder / file).is_file() for file in (PRACTICE, PRACTISED_HOW)):
+        if any((folder / file).is_file() for file in (PRACTICE, PRACTICE_SETTINGS)):
             raise CadenzaError(
                 f"{name}: practice has not played the song to the end yet; run the same command "
                 "again that practised there"
@@ -182,9 +182,9 @@ class Setup:
     agent: Agent
     task: PianoTask
     seed: int
-    # The options by name, as JSON has them; and `remarks` on what of the song is not played
+    # The options by name, as in JSON; and `remarks` on parts of the song that are not played
     settings: dict[str, Any]
-    options: dict[str, Any]  # the options that have to be the same for a plan to play the same
+    options: dict[str, Any]  # the options that decide how a plan is played, see `task_identity`
     # The song as it was arranged for the hands, if it was
     arrangement: HandArrangement | None = None
 
@@ -204,18 +204,18 @@ def set_up(
     num_threads: int | None = None,
     progress: Progress = silent,
 ) -> Iterator[Setup]:
-    """Load a song, and yield who plays it in what task.
+    """Load a song, and yield its task and player.
 
     Raises CadenzaError if the song is not there, an option makes no sense, or song and player do
     not go together.
 
     Args:
         song: see `cadenza.load_song`, or a score; None for the one that the agent has learnt.
-        player: who plays, in its task and its scene.
+        player: the player, with its task and its scene.
         arrangement: which notes of the song.
         seed: of everything random.
         num_threads: of an agent that can use several; by default its own, or one for each hand.
-        progress: is called with "fingers", which are looked for before anyone plays.
+        progress: is called with "fingers", which are found before the song is played.
     """
     seed = whole_number(seed, "seed", 0, MAX_SEED)
     if num_threads is not None:
@@ -260,7 +260,7 @@ def set_up(
 def _chosen_song(
     song: SomeSong | LoadedSong | None, arrangement: Arrangement | None, player: Player
 ) -> tuple[LoadedSong, bool]:
-    """The song that is given, or the one that the player knows, and whether it knows it.
+    """The given song or the player's own, and whether the player knows it.
 
     Raises CadenzaError if there is none, or the player cannot play it.
     """
@@ -306,24 +306,28 @@ def _check_other_song(song: LoadedSong, player: Player, known: LoadedSong) -> No
 
 
 def _about_hands(track: GoalTrack, song: Score, own: Score) -> Iterator[str]:
-    """Yield what one hand leaves to the other, and what is not played as it is written for hands.
+    """Yield remarks on notes that are left to the other hand, or left out.
 
-    `song` has all notes, `own` what is written for the hands of the scene.
+    `song` has all notes, `own` the notes written for the hands of the scene.
     """
-    if others := len(song.notes) - len(own.notes):
+    if missing := len(song.notes) - len(own.notes):
         (side,) = track.scene.sides
-        what = "1 note is" if len(own.notes) == 1 else f"{len(own.notes)} notes are"
-        yield (f"{what} written for the {side} hand; without the other {others} (all: --all-notes)")
+        are = "is" if len(own.notes) == 1 else "are"
+        yield (
+            f"{counted(len(own.notes), 'note')} {are} written for the {side} hand; without the "
+            f"other {missing} (all: --all-notes)"
+        )
     if track.config.hands_as_written:
         notes = track.with_found_fingers().fingered().score.notes
         moved = sum(bool(n.finger and n.hands and n.finger.hand not in n.hands) for n in notes)
         if moved:
-            what, are = ("note", "is") if moved == 1 else ("notes", "are")
-            yield f"{moved} {what} that the written hand cannot play {are} left to the other"
+            are = "is" if moved == 1 else "are"
+            notes_left = counted(moved, "note")
+            yield f"{notes_left} that the written hand cannot play {are} left to the other"
 
 
 def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
-    """Yield what of the song control steps are too long for: repeated notes, pedal changes."""
+    """Yield remarks on repeated notes and pedal changes that are too fast for control steps."""
     dt = track.config.control_timestep
     if count := merged_notes(track.score, track.goals):
         repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")

@@ -1,4 +1,4 @@
-"""Trains a policy on a song or on several."""
+"""Training of a policy on a song or on several."""
 
 from collections.abc import Sequence
 from contextlib import closing

@@ -1,4 +1,4 @@
-"""How well a song was played, in words that a pianist would use, and what to try if it was not."""
+"""Verdicts on performances, in a pianist's words, and advice where much was lost."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -10,10 +10,10 @@ from cadenza.music.arrangement import HARDEST
 from cadenza.music.metrics import ONSET_TOLERANCE, note_errors
 from cadenza.music.score import MS_PER_SECOND, Score
 
-_AUDIBLE = 0.02  # [s], a delay or unevenness that is heard
+_AUDIBLE = 0.02  # [s], from which a delay or unevenness is heard
 _STEP = 16  # MIDI velocities between two dynamics such as mp and mf
-_BAD = 0.88  # F1 below which a song is lost in part: the mean of whole pieces is 0.9
-_MANY = 0.1  # the same, of the share of notes that were missed
+_MIN_F1 = 0.88  # F1 below which a song is lost in part: the mean of whole pieces is 0.9
+_MAX_MISSED = 0.1  # share of missed notes, beyond which a song is lost in part
 _OUT_OF_REACH = ("no finger", "out of reach")  # causes against which more time does not help
 _SLOWER = 1.5  # times as long
 
@@ -32,13 +32,12 @@ def verdict(played: Score, written: Score, metrics: Mapping[str, Any]) -> str:
     """How well a song was played, as a sentence with its figures, see `expressive_metrics`.
 
     Notes of one key that begin within 50 ms of each other are in time; others are early or late if
-    they begin within 0.2 s. `written` is what was to be played, on the same clock, as far as it
-    was.
+    they begin within 0.2 s. `written` is the score on the same clock, up to where it was played.
     """
     errors, notes = note_errors(written.notes, played.notes), counted(len(written.notes), "note")
     off_time, missed, extra = errors.missed.off_time, errors.missed, errors.extra
-    every = len(errors.pairs) == len(written.notes) > 1
-    share = "All" if every else f"{len(errors.pairs)} of"
+    all_hit = len(errors.pairs) == len(written.notes) > 1
+    share = "All" if all_hit else f"{len(errors.pairs)} of"
     parts = [f"{share} {notes} in time (within {_ms(ONSET_TOLERANCE)})"]
     if off_time:
         parts += [f"{len(off_time)} early or late"]
@@ -50,19 +49,19 @@ def verdict(played: Score, written: Score, metrics: Mapping[str, Any]) -> str:
 
 
 def _expression(metrics: Mapping[str, Any]) -> list[str]:
-    """Timing and loudness of the notes that were found; nothing if there are none."""
+    """Timing and loudness of the notes that were hit; nothing if none was."""
     delay, unevenness = metrics["onset_delay"], metrics["onset_error_median"]
     loudness = metrics["velocity_error"]
     if delay is None or unevenness is None or loudness is None:
         return []
-    even = f"evenly timed to {_ms(unevenness)}"
-    parts = [even if unevenness < _AUDIBLE else f"timing {_ms(unevenness)} uneven"]
+    is_even, deviation = unevenness < _AUDIBLE, _ms(unevenness)
+    parts = [f"evenly timed to {deviation}" if is_even else f"timing {deviation} uneven"]
     if abs(delay) >= _AUDIBLE:
         parts += [f"{_ms(abs(delay))} {'late' if delay > 0 else 'early'} throughout"]
     if loudness < _STEP / 2:
         return [*parts, "loudness as written"]
-    far = "half a step" if loudness < _STEP else "a step or more"
-    return [*parts, f"loudness {far} off what is written (mp to mf is a step)"]
+    error = "half a step" if loudness < _STEP else "a step or more"
+    return [*parts, f"loudness {error} off what is written (mp to mf is a step)"]
 
 
 def _ms(seconds: float) -> str:
@@ -72,12 +71,12 @@ def _ms(seconds: float) -> str:
 def advice(
     misses: Sequence[Miss], num_notes: int, f1: float, settings: dict[str, Any], arranged: bool
 ) -> Advice | None:
-    """What to try; None where a song of `num_notes` notes was played well enough.
+    """Advice on a song of `num_notes` notes; None if it was played well enough.
 
-    `settings` are those of the performance, `arranged` whether the song was for the hands.
+    `settings` are the performance's, `arranged` says whether the song was arranged for the hands.
     """
     missed = [miss.cause for miss in misses if not miss.sounded]
-    if not misses or (f1 >= _BAD and len(missed) <= _MANY * num_notes):
+    if not misses or (f1 >= _MIN_F1 and len(missed) <= _MAX_MISSED * num_notes):
         return None
     if arranged or 2 * sum(cause in _OUT_OF_REACH for cause in missed) <= len(missed):
         stretch = _SLOWER * settings["task"]["stretch"]

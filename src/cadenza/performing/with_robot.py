@@ -1,4 +1,4 @@
-"""Practice of a song with a robot that nobody knows: ten plays, and one more that is scored."""
+"""Practice of a song with an unknown robot: ten plays, and one more that is scored."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ ABOUT, PLAYS_FILE = "robot.json", "plays.safetensors"
 
 @dataclass(frozen=True)
 class RobotPlays:
-    """What became of a song and a robot; content of robot.json."""
+    """The plays of a song by a robot; content of robot.json."""
 
     song: str
     robot: str
     """The seed of a simulated robot, or the driver of another."""
     profile: Profile
-    """What it was drawn from, or is about like."""
+    """The profile that it was drawn from, or resembles."""
     heard: tuple[tuple[float, float], ...]
     """F1 and note onset F1 of every play, by what was heard."""
     metrics: dict[str, float]
@@ -50,8 +50,8 @@ def practise(
     """Have a robot learn a song in ten plays, see `learn_in_ten_plays`.
 
     `robot` is the seed of a simulated one, drawn from the profile, or a driver as `module:Name`,
-    about as late as the profile says. Yields after each play what became of all so far, and their
-    actions (P, T, A). Raises CadenzaError if there is no such robot.
+    about as late as the profile says. Yields after each play all plays so far and their actions
+    (P, T, A). Raises CadenzaError if there is no such robot.
     """
     began = cpu_seconds()
     begin_episodes(setup.task, [setup.seed])
@@ -61,17 +61,16 @@ def practise(
     if nominal.plan is None:
         raise CadenzaError("a robot practises what the planner plays: choose no other agent")
     if robot.isdigit():
-        there: Robot = simulated(setup, int(robot), profile)
+        device: Robot = simulated(setup, int(robot), profile)
     else:
-        there = _driver(robot, len(setup.task.scene.hand_joint_names))
-    known = PROFILES[profile]
-    plays = learn_in_ten_plays(there, view, nominal.plan, nominal.episode, known)
+        device = _driver(robot, len(setup.task.scene.hand_joint_names))
+    plays = learn_in_ten_plays(device, view, nominal.plan, nominal.episode, PROFILES[profile])
     takes = list[ScoredPlay]()
     for number in range(1, PLAYS + 2):
         with by_others(f"robot {robot}: play {number} failed"):
             takes.append(next(plays))
         heard = tuple((take.f1, take.note_onset_f1) for take in takes)
-        scored = there.scored if isinstance(there, SimulatedRobot) else {}
+        scored = device.scored if isinstance(device, SimulatedRobot) else {}
         metrics = dict(scored) or dict(zip(("f1", "note_onset_f1"), heard[-1], strict=True))
         song, seconds = str(setup.settings["song"]), cpu_seconds() - began
         actions = np.array([take.actions for take in takes])
@@ -95,7 +94,7 @@ def simulated(setup: Setup, robot: int, profile: Profile) -> SimulatedRobot:
 
 
 def _driver(name: str, num_joints: int) -> Robot:
-    """Somebody's driver; raises CadenzaError if there is none, or it cannot be made."""
+    """The driver of this name; raises CadenzaError if there is none, or it cannot be made."""
     driver = ROBOTS.load(name, type)
     with by_others(f"robot {name}: cannot be made"):
         return CheckedRobot(driver(), name, num_joints)

@@ -169,7 +169,7 @@ class _Drawer:
     _top: int = 0
 
     def system(self, page: Element) -> System:
-        """Return the system on a page."""
+        """The system on a page."""
         outlines = {
             glyph.get("id", "").partition("-")[0]: glyph[0].get("d", "")
             for glyph in page.iterfind(f"{_SVG}defs/{_SVG}g")
@@ -224,7 +224,7 @@ class _Drawer:
         return self._placed(name, outlines[name], float(scale), x, y)
 
     def _placed(self, name: str, outline: str, scale: float, x: str, y: str) -> str:
-        """Return a glyph at a place, and keep its outline at this scale for all that use it."""
+        """A glyph at a place, and keep its outline at this scale for all that use it."""
         scaled = f"{name}-{_EM * scale:.0f}"
         if scaled not in self.glyphs:
             enlarged = f'transform="scale({scale:g},{-scale:g})"'
@@ -270,7 +270,7 @@ def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
 
 
 def engraving_of(score: Score) -> str:
-    """Return the engraved score that `score.js` reads, as `packed_text`; "" for no notation.
+    """The engraved score that `score.js` reads, as `packed_text`; "" for no notation.
 
     A score has notation if it has bars, or if its onsets fit the estimated bars, which those of
     performers do not. A score of over 15,000 symbols is too long for a page.
@@ -295,7 +295,7 @@ def engraving_of(score: Score) -> str:
 
 @cache
 def _outline(letter: str) -> str:
-    """Return the outline of a letter of the music font, which comes with Verovio."""
+    """The outline of a letter of the music font, which comes with Verovio."""
     glyph = resources.files("verovio").joinpath("data", _MUSIC_FONT, f"{ord(letter):X}.xml")
     return fromstring(glyph.read_text("utf-8"))[0].get("d", "")
 
@@ -323,7 +323,7 @@ class Engraver:
         self._process.wait()
 
     def engraving(self, patience: float = 0.0) -> str | None:
-        """Return the engraving; "" where there is none, None if not yet after `patience` [s]."""
+        """The engraving; "" where there is none, None if not yet after `patience` [s]."""
         try:
             failed = self._process.wait(patience) != 0
         except subprocess.TimeoutExpired:

@@ -39,7 +39,7 @@ COMPACT: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False}
 
 @cache
 def asset(name: str) -> str:
-    """Return the text of a file of `assets`, which templates do not escape."""
+    """The text of a file of `assets`, which templates do not escape."""
     from markupsafe import Markup
 
     return Markup(resources.files("cadenza.report").joinpath("assets", name).read_text("utf-8"))
@@ -47,12 +47,12 @@ def asset(name: str) -> str:
 
 @cache
 def packed_asset(name: str) -> str:
-    """Return a file of `assets` as `packed_text`, which takes a third of the space."""
+    """A file of `assets` as `packed_text`, which takes a third of the space."""
     return packed_text(asset(name))
 
 
 def packed_text(text: str) -> str:
-    """Return a text as base64 of its deflated UTF-8, which `recording.js` reads."""
+    """A text as base64 of its deflated UTF-8, which `recording.js` reads."""
     return in_base64(zlib.compress(text.encode(), zlib.Z_BEST_COMPRESSION))
 
 
@@ -65,7 +65,7 @@ def render(template: str, **context: Any) -> Iterator[str]:
 
 
 def rendered(source: str) -> str:
-    """Return the page that a template is, which may use the files of `templates`."""
+    """The page that a template is, which may use the files of `templates`."""
     return _environment().from_string(source).render()
 
 
@@ -100,7 +100,7 @@ def _environment() -> Environment:
 
 
 def in_base64(content: bytes) -> str:
-    """Return the base64 text of `content`."""
+    """The base64 text of `content`."""
     return base64.b64encode(content).decode()
 
 
@@ -112,5 +112,5 @@ def _breakable(text: str) -> str:
 
 
 def _percent(share: float) -> str:
-    """Return a share as a length in CSS, at least 0 and at most 100 %."""
+    """A share as a length in CSS, at least 0 and at most 100 %."""
     return f"{100 * min(max(share, 0.0), 1.0):.1f}%"

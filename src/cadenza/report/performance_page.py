@@ -135,7 +135,7 @@ def _roll_description(episode: Episode) -> str:
 
 
 def _shown_metrics(episode: Episode, metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the metrics flattened, and without the pedal's where the piece has none."""
+    """The metrics flattened, and without the pedal's where the piece has none."""
     pedal = bool(episode["goal_sustain"].any())
     return {name: v for name, v in flat(metrics) if pedal or not name.startswith("sustain_")}
 
@@ -143,13 +143,13 @@ def _shown_metrics(episode: Episode, metrics: Mapping[str, Any]) -> dict[str, An
 def _figures(
     titles: Mapping[str, tuple[str, str]], metrics: Mapping[str, Any]
 ) -> list[tuple[str, str, str, float | None]]:
-    """Return title and meaning of metrics, their values as text, and the lengths of their bars."""
+    """Title and meaning of metrics, their values as text, and the lengths of their bars."""
     names = [name for name in titles if name in metrics]
     return [(*titles[name], *_figure(metrics[name])) for name in names]
 
 
 def _figure(value: Any) -> tuple[str, float | None]:
-    """Return a value as text, and the length of its bar; a count has none."""
+    """A value as text, and the length of its bar; a count has none."""
     number = _number(value)
     if number is None or isinstance(value, int):
         return "–" if number is None else str(value), None
@@ -176,7 +176,7 @@ def _with_unit(name: str, value: Any) -> str:
 
 
 def settings_table(settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return the text of each setting that is not None, under its full name."""
+    """The text of each setting that is not None, under its full name."""
     return {name: _plain(value) for name, value in flat(settings) if value is not None}
 
 
@@ -211,7 +211,7 @@ def recording_of(
     misses: Iterable[Mapping[str, Any]],
     arrangement: Iterable[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Return what `recording.js` reads, as JSON has it; see `performance_page`."""
+    """The data of `recording.js`, for JSON; see `performance_page`."""
     scene = episode.scene
     joints = episode["hand_qpos"] if scene.get("skeleton") else np.empty((episode.num_steps, 0))
     depth = episode.key_depth
@@ -251,7 +251,7 @@ def recording_of(
 
 
 def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
-    """Return key, onset [s], hand, and number from 1 of the finger of each note that has one.
+    """Key, onset [s], hand, and number from 1 of the finger of each note that has one.
 
     `recording.js` reads them.
     """
@@ -263,7 +263,7 @@ def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
 
 
 def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
-    """Return the notes of `misses.json`, as `explanations.js` reads them.
+    """The notes of `misses.json`, as `explanations.js` reads them.
 
     Each has its time [s], its name, the name of its finger, what became of it, cause and reason.
     """
@@ -279,7 +279,7 @@ def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
 
 
 def arranged_notes(fates: Iterable[Mapping[str, Any]], lowest: int) -> list[list[Any]]:
-    """Return the notes of `arrangement.json`, as `arrangement.js` reads them.
+    """The notes of `arrangement.json`, as `arrangement.js` reads them.
 
     Each has its key, from and to [s], the key that is played or None, its part, and whether it is
     struck again.
@@ -295,7 +295,7 @@ def arranged_notes(fates: Iterable[Mapping[str, Any]], lowest: int) -> list[list
 
 
 def key_verdicts(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return for each key and step, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
+    """For each key and step, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
     return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
 
 

@@ -138,7 +138,7 @@ def _drawing(parent: Element, glyphs: Mapping[str, str]) -> Iterator[str]:
 
 
 def _turned(transform: str) -> str:
-    """Return the matrix of a rotation about a point; nothing without one."""
+    """The matrix of a rotation about a point; nothing without one."""
     if not transform.startswith("rotate"):
         return ""
     angle, x, y = map(float, _NUMBER.findall(transform))
@@ -149,7 +149,7 @@ def _turned(transform: str) -> str:
 
 
 def _painted(shape: Element, value: Mapping[str, float]) -> str:
-    """Return the operators of a path, polygon, polyline or rectangle."""
+    """The operators of a path, polygon, polyline or rectangle."""
     width, dashes = value.get("stroke-width", 0.0), shape.get("stroke-dasharray", "")
     if shape.tag == "rect":
         outline = "{x:g} {y:g} {width:g} {height:g} re".format(**value)
@@ -162,7 +162,7 @@ def _painted(shape: Element, value: Mapping[str, float]) -> str:
 
 
 def _outline(shape: Element, scale: float = 0.0) -> str:
-    """Return the outline of a path or polygon; with a `scale`, of a glyph, which is upside down."""
+    """The outline of a path or polygon; with a `scale`, of a glyph, which is upside down."""
     operators: list[str] = []
     at = start = control = 0j
     across, down = (scale, -scale) if scale else (1.0, 1.0)
@@ -193,7 +193,7 @@ def _outline(shape: Element, scale: float = 0.0) -> str:
 def _text(
     text: str, style: str, size: float, x: float, y: float, anchor: str, turned: int = 1
 ) -> str:
-    """Return the operators of a line of text, which in a drawing has to be `turned` by -1."""
+    """The operators of a line of text, which in a drawing has to be `turned` by -1."""
     x -= {"middle": 0.5, "end": 1.0}.get(anchor, 0.0) * _width(text, style) * size
     escaped = re.sub(r"([\\()])", r"\\\1", _encodable(text))
     font = f"/F{list(_FONTS).index(style)} {size:g} Tf"
@@ -201,7 +201,7 @@ def _text(
 
 
 def _encodable(text: str) -> str:
-    """Return a text in letters of Times; others are spelled, lose accents, or become "?"."""
+    """A text in letters of Times; others are spelled, lose accents, or become "?"."""
     text = text.translate(_SPELLED)
     pairs = ((letter, unicodedata.normalize("NFKD", letter)[0]) for letter in text)
     letters = (letter if letter.encode(_ENCODING, "ignore") else base for letter, base in pairs)
@@ -209,21 +209,21 @@ def _encodable(text: str) -> str:
 
 
 def _width(text: str, style: str) -> float:
-    """Return how long a line of text is, in parts of the size of its letters."""
+    """The length of a line of text, in parts of the size of its letters."""
     widths = (_widths(style).get(ord(letter), _UNITS_PER_EM / 2) for letter in _encodable(text))
     return sum(widths) / _UNITS_PER_EM
 
 
 @cache
 def _widths(style: str) -> dict[int, float]:
-    """Return the widths of the letters of Times, by their numbers, which come with Verovio."""
+    """The widths of the letters of Times, by their numbers, which come with Verovio."""
     name = f"Times-{style}.xml" if style else "Times.xml"
     table = fromstring(resources.files("verovio").joinpath("data", "text", name).read_bytes())
     return {int(g.attrib["c"], 16): float(g.get("h-a-x") or g.get("w") or 0) for g in table}
 
 
 def _document(pages: Sequence[bytes]) -> bytes:
-    """Return the PDF of pages, each a stream of operators."""
+    """The PDF of pages, each a stream of operators."""
     first = 3 + len(_FONTS)  # after the catalogue, the list of pages and the fonts
     kids = " ".join(f"{first + 2 * i} 0 R" for i in range(len(pages)))
     fonts = " ".join(f"/F{i} {3 + i} 0 R" for i in range(len(_FONTS)))

@@ -82,7 +82,7 @@ Samples = NDArray[np.int16] | Sound  # samples (n, 2) left and right, 16 bit
 
 
 def synthesize(score: Score, voice: Tone = tone) -> Sound:
-    """Return the sound of `score` by a `voice`, such as `font_tone`; no notes have no samples.
+    """The sound of `score` by a `voice`, such as `font_tone`; no notes have no samples.
 
     Louder notes are also brighter; while the pedal is down, notes ring on after their end. The
     whole has an integrated loudness of -18 LUFS (ITU-R BS.1770) and peaks below -1 dBFS, so that
@@ -128,7 +128,7 @@ def encode_opus(
 
 
 def bit_rate_of(seconds: float, mono: bool = False) -> int:
-    """Return the bit rate of a sound on a page: the longer it lasts, the lower, within limits.
+    """The bit rate of a sound on a page: the longer it lasts, the lower, within limits.
 
     Of a minute it is 90 kbit/s, from three minutes on 30 kbit/s; of one channel 48 and 20 kbit/s.
     """
@@ -236,7 +236,7 @@ def _padded(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
 def _tone_of(
     note: Note, release: float, tones: dict[tuple[int, int, int], NDArray[np.float32]], voice: Tone
 ) -> NDArray[np.float32]:
-    """Return the undamped tone of a note, at least as long as it is heard; `tones` caches it."""
+    """The undamped tone of a note, at least as long as it is heard; `tones` caches it."""
     band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2
     # Lengths are powers of two, so that notes of different lengths share a tone.
     doublings = max(0, int(np.ceil(np.log2(release - note.start + _damping(note.pitch)))))
@@ -249,7 +249,7 @@ def _tone_of(
 
 
 def _releases(score: Score) -> list[float]:
-    """Return when each damper falls [s]: key and pedal are up, or the key is struck again."""
+    """When each damper falls [s]: key and pedal are up, or the key is struck again."""
     end = score.total_time
     times = np.array([event.time for event in score.pedal])
     down = np.array([event.value >= PEDAL_DOWN for event in score.pedal], bool)
@@ -272,12 +272,12 @@ def _releases(score: Score) -> list[float]:
 
 
 def _damping(pitch: int) -> float:
-    """Return the time from the damper's fall to silence [s]."""
+    """The time from the damper's fall to silence [s]."""
     return 1.2 if pitch > LAST_DAMPER else 8 * DAMPING
 
 
 def _damped(tone: NDArray[np.float32], note: Note, release: float) -> NDArray[np.float32]:
-    """Return the note's tone (n,) with the damper falling at `release` [s]."""
+    """The note's tone (n,) with the damper falling at `release` [s]."""
     seconds, damping = release - note.start, _damping(note.pitch)
     sound = tone[: int((seconds + damping) * SAMPLE_RATE)].copy()
     tail = sound[int(seconds * SAMPLE_RATE) :]
@@ -289,7 +289,7 @@ def _damped(tone: NDArray[np.float32], note: Note, release: float) -> NDArray[np
 
 
 def _pan(pitch: int) -> NDArray[np.float32]:
-    """Return gains (2,) of the left and right ear, of equal power: bass a little left."""
+    """Gains (2,) of the left and right ear, of equal power: bass a little left."""
     across = (pitch - PITCHES[0]) / (PITCHES[-1] - PITCHES[0])
     angle = np.pi / 4 * (1 + 0.45 * (2 * across - 1))
     return np.sqrt(2) * np.array([np.cos(angle), np.sin(angle)], np.float32)
@@ -354,7 +354,7 @@ def voice_of(sound_font: Path | None) -> Tone:
 
 
 def font_tone(path: Path) -> Tone:
-    """Return the tones of a sound font's piano, its first program, as `synthesize` takes them.
+    """The tones of a sound font's piano, its first program, as `synthesize` takes them.
 
     A font chooses the wave by pitch and velocity; `synthesize` does all else, so that loudness,
     dampers and pedal are those of the built-in piano. Raises CadenzaError if the file cannot be

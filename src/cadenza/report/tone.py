@@ -22,7 +22,7 @@ DAMPING = 0.06  # [s] in which a damper reduces the sound to 1/e
 
 
 def tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
-    """Return an undamped note (n,) of loudness 1, struck with a `hardness` of 0 to 1.
+    """An undamped note (n,) of loudness 1, struck with a `hardness` of 0 to 1.
 
     It decays at first as the strings of C2, C4 and C7 that Bensa et al. fitted to a grand piano
     ("The simulation of piano string vibration", JASA 114, 2003, table I): by 2, 10 and 80 dB a

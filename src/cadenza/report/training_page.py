@@ -113,7 +113,7 @@ def training_page(
 
 
 def _charts(runs: Sequence[Curve], titles: Mapping[str, str]) -> list[LineChart]:
-    """Return a chart of each column that has values, by control steps."""
+    """A chart of each column that has values, by control steps."""
     charts = []
     for column, title in titles.items():
         unit = _UNITS.get(column, "number")
@@ -131,13 +131,13 @@ def _rounded(values: NDArray[np.float64]) -> list[float]:
 
 
 def _end(runs: Sequence[Curve]) -> float:
-    """Return the step at which the longest of the runs ended, 1 where there is nothing yet."""
+    """The step at which the longest of the runs ended, 1 where there is nothing yet."""
     ends = [row["step"] or 0 for run in runs for row in run.rows[-1:]]
     return max((end for end in ends if end < _MAX_VALUE), default=0) or 1
 
 
 def _points(run: Curve, column: str, above: float = -_MAX_VALUE) -> Points:
-    """Return the values of a column that can be drawn and lie `above`, by control steps."""
+    """The values of a column that can be drawn and lie `above`, by control steps."""
     values = [
         (row.get("eval_step", row["step"]), row[column])
         for row in run.rows
@@ -149,7 +149,7 @@ def _points(run: Curve, column: str, above: float = -_MAX_VALUE) -> Points:
 
 
 def _resampled(lines: Sequence[Points]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x (n,) where all lines that have points are, and their values (lines, n) there."""
+    """X (n,) where all lines that have points are, and their values (lines, n) there."""
     lines = [points for points in lines if len(points.x)]
     x = np.unique(np.concatenate([np.empty(0), *(points.x for points in lines)]))
     for points in lines:
@@ -158,7 +158,7 @@ def _resampled(lines: Sequence[Points]) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
-    """Return means over neighbours, as few as the page has room for."""
+    """Means over neighbours, as few as the page has room for."""
     max_points = min(_MAX_LINE_POINTS, max(_MAX_POINTS // len(runs), 2))
     if len(points.x) <= max_points:
         return points
@@ -168,7 +168,7 @@ def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
 
 
 def _lines(runs: Sequence[Curve], points_of_runs: Sequence[Points]) -> list[dict[str, Any]]:
-    """Return the lines of `_series` that have points, but for a mean of fewer than two runs."""
+    """The lines of `_series` that have points, but for a mean of fewer than two runs."""
     num_lines = sum(len(points.x) > 0 for points in points_of_runs)
     lines = [
         _line(style, name, [points_of_runs[i] for i in members], runs)
@@ -181,7 +181,7 @@ def _lines(runs: Sequence[Curve], points_of_runs: Sequence[Points]) -> list[dict
 def _line(
     style: str, name: str, points_of_runs: Sequence[Points], runs: Sequence[Curve]
 ) -> dict[str, Any]:
-    """Return the mean of lines, for several of a task over a band from lowest to highest."""
+    """The mean of lines, for several of a task over a band from lowest to highest."""
     x, values = _resampled(points_of_runs)
     mean, low, high = (
         _thinned(Points(x, y), runs) for y in (values.mean(0), values.min(0), values.max(0))
@@ -193,7 +193,7 @@ def _line(
 
 
 def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
-    """Return style, name and runs of each line: of a run each and of all, or of a task each."""
+    """Style, name and runs of each line: of a run each and of all, or of a task each."""
     tasks: dict[str, list[int]] = {}
     for i, run in enumerate(runs):
         tasks.setdefault(run.task, []).append(i)
@@ -205,7 +205,7 @@ def _series(runs: Sequence[Curve]) -> list[tuple[str, str, list[int]]]:
 
 
 def _style(number: int) -> str:
-    """Return the class in the style sheet of the `number`th line, from 0 on."""
+    """The class in the style sheet of the `number`th line, from 0 on."""
     return f"run{number % _NUM_COLOURS}"
 
 

@@ -13,15 +13,15 @@ from cadenza.sim.mujoco_simulation import UNSTABLE, MujocoSimulation
 Array = NDArray[np.float64]
 
 _MARGIN = 0.05  # [m] of keys to each side of where fingertips should go
-_MAX_MODELS = 16  # of about 2 MB that are kept: memory must not grow with the length of a song
-_GRID = 6  # keys; a song needs few models where they begin and end at every sixth
+_MAX_MODELS = 16  # of about 2 MB each; memory must not grow with the length of a song
+_GRID = 6  # keys; models that begin and end at every sixth key are few in a song
 _READY_TO_SLEEP = -1  # `tree_asleep` of a tree that is awake, and has been at rest long enough
 
 
 class HandRollouts:
     """Rollouts of one hand, all from the same state, one after the other.
 
-    What methods return of the state that a rollout has reached is valid until its next step.
+    Arrays that methods return are valid until the next step of a rollout.
 
     The hand moves as in the whole scene, to a few micrometres, unless it touches keys with more
     than the last two links of its fingers.
@@ -124,7 +124,7 @@ class HandRollouts:
         return by_joints[..., first:] @ self._servos.joints.T
 
     def _keys_between(self, low: float, high: float) -> range:
-        """The keys whose middle is between `low` and `high` [m], and more, up to the grid."""
+        """The keys whose middle is between `low` and `high` [m], extended to the grid."""
         y = self._scene.keyboard.centre[:, 1]
         first, last = np.searchsorted(y, [low, high])
         first = min(first // _GRID, (len(y) - 1) // _GRID) * _GRID
@@ -138,7 +138,7 @@ class _HandOnKeys:
         model: see `reduced_model`.
         start: the state in which rollouts start.
         data: the state of the rollout.
-        posed: a state whose posture alone counts.
+        posed: a state of which only the posture is used.
         keys: where the keys are in qpos.
         fingertips: the sites of the fingertips.
     """

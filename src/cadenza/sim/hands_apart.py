@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 class HandsApart:
     """N pairs of simulations, of either hand; implements `protocol.Simulation`.
 
-    The hands never meet. The position of a key is the deeper one of both pianos. Both pianos are
-    alike, also if they are randomized.
+    The hands never meet. The position of a key is the deeper one of both pianos, which are equal,
+    also if they are randomized.
 
     Attributes:
         state: both hands, and the keys of both pianos combined.
@@ -65,16 +65,16 @@ class HandsApart:
         path: Path | None = None,
     ) -> None:
         stepped = slice(None) if env_ids is None else list(env_ids)
-        ways = list[Path]()
+        paths = list[Path]()
         for alone, part, sounded in zip(self._alone, self._parts, self._sounded, strict=True):
             sounded[stepped] = self._sounding(part)[stepped]
             before = held and held._replace(ctrl=held.ctrl[:, alone.servos])
             own = Path.still(part.state, path.key_qpos.shape[1]) if path else None
             part.step(ctrl[:, alone.servos], env_ids, before, own)
             if own:
-                ways.append(own)
+                paths.append(own)
         if path:
-            right, left = ways
+            right, left = paths
             path.hand_qpos[stepped] = np.concatenate([right[0], left[0]], axis=2)[stepped]
             path.hand_qvel[stepped] = np.concatenate([right[1], left[1]], axis=2)[stepped]
             path.key_qpos[stepped] = np.maximum(right[2], left[2])[stepped]
@@ -97,7 +97,7 @@ class HandsApart:
         right, left = (part.state for part in self._parts)
         deeper = right.key_qpos >= left.key_qpos
         by_right, by_left = self._sounded
-        events = zip(_heard(right, left, by_left), _heard(left, right, by_right), strict=True)
+        events = zip(_audible(right, left, by_left), _audible(left, right, by_right), strict=True)
         (onset, other_onset), (offset, other_offset), (speed, other_speed) = events
         later = (onset >= other_onset) | np.isnan(other_onset)
         self.state = State(
@@ -125,10 +125,10 @@ class HandsApart:
             part.close()
 
 
-def _heard(own: State, other: State, other_sounded: NDArray[np.bool_]) -> tuple[Array, ...]:
-    """Onsets, offsets and speeds of one hand, NaN while the other makes the key sound as well.
+def _audible(own: State, other: State, other_sounded: NDArray[np.bool_]) -> tuple[Array, ...]:
+    """Onsets, offsets and speeds of one hand, NaN while the other hand makes the key sound.
 
-    `other_sounded` (N, K) says whether it did so before the step.
+    `other_sounded` (N, K) says whether the other hand did so before the step.
     """
 
     def alone(time: Array) -> NDArray[np.bool_]:
@@ -146,7 +146,7 @@ def _heard(own: State, other: State, other_sounded: NDArray[np.bool_]) -> tuple[
 
 
 def _indices_of(scene: Scene, alone: HandAlone) -> dict[str, Any]:
-    """Name of a factor -> indices, in the factors of the whole scene, of those of one hand."""
+    """Name of a factor -> indices of one hand's factors among those of the scene."""
     both, part = scene.model, alone.scene.model
     bodies = as_ids(both.body(part.body(b).name).id for b in range(part.nbody))
     joints = as_ids(both.joint(part.joint(j).name).dofadr[0] for j in range(part.njnt))

@@ -21,7 +21,7 @@ class Crossings(NamedTuple):
     """The speeds of the keys [rad/s], positive where they begin to sound, else negative."""
 
     def where(self, chosen: NDArray[np.bool_]) -> Crossings:
-        """Those of the crossings that are chosen (C,)."""
+        """The crossings that are chosen (C,)."""
         place = tuple(indices[chosen] for indices in self.place)
         return Crossings(place, self.time[chosen], self.speed[chosen])
 
@@ -55,11 +55,10 @@ def key_crossings(key_paths: Array, sounds_from: Array, substep: float) -> Cross
 def last_key_events(
     key_paths: Array, sounds_from: Array, substep: float
 ) -> tuple[Array, Array, Array]:
-    """What happened last to each key in each step, as `State.key_events`, (..., K) each.
+    """The last events of each key in each step, as `State.key_events`, (..., K) each.
 
-    The arguments are those of `key_crossings`. Returns the times of the onsets and of the offsets
-    [s], and the speeds of the onsets [rad/s]. They are NaN for keys that did not begin or cease to
-    sound.
+    The arguments are those of `key_crossings`. Returns the times of onsets and offsets [s], and the
+    speeds of onsets [rad/s]; NaN for keys without any.
     """
     crossings = key_crossings(key_paths, sounds_from, substep)
     onset, offset, speed = np.full((3, *key_paths[..., 0, :].shape), np.nan)
@@ -71,9 +70,9 @@ def last_key_events(
 
 
 def dense_key_events(key_paths: Any, sounds_from: Any, substep: float) -> tuple[Any, Any, Any]:
-    """`last_key_events` of arrays of any library like NumPy, in shapes that a compiler knows.
+    """`last_key_events` for arrays of any library like NumPy, in shapes that a compiler knows.
 
-    With NumPy it takes two to four times as long.
+    It takes NumPy two to four times as long.
     """
     xp = key_paths.__array_namespace__()
     before, after = key_paths[..., :-1, :], key_paths[..., 1:, :]
@@ -86,7 +85,7 @@ def dense_key_events(key_paths: Any, sounds_from: Any, substep: float) -> tuple[
 
 
 def _last(xp: Any, values: Any, happened: Any) -> Any:
-    """(..., K) the last of the values (..., S, K) at which something `happened`, else NaN."""
+    """(..., K) the last of the values (..., S, K) that `happened`, NaN if none did."""
     last = happened.shape[-2] - 1 - xp.argmax(xp.flip(happened, -2), -2)
     at_last = xp.take_along_axis(values, last[..., None, :], -2)[..., 0, :]
     return xp.where(happened.any(-2), at_last, xp.nan)

@@ -25,8 +25,8 @@ class Linearisation(NamedTuple):
     There are K keys, V joints of keys and hands, A actuators, and F fingers of two hands.
     """
 
-    # (T, P, 2 V, 2 V + A) derivatives of positions and velocities by those at the beginning of the
-    # control step, and by the control that is held through it
+    # (T, P, 2 V, 2 V + A) derivatives of positions and velocities by their values at the beginning
+    # of the control step, and by the control that is held through it
     jacobian: Array
     key_qpos: Array  # (T, P, K) joint angles of the keys [rad]
     key_xpos: Array  # (T, P, K, 3) centres of the keys' boxes in the world [m]
@@ -126,7 +126,7 @@ class Lineariser:
 
 
 def _products(transitions: Array) -> Iterator[Array]:
-    """Derivatives of each state by the first and by the control that is held all the time."""
+    """Derivatives of each state by the first state, and by a control that is held throughout."""
     size = transitions.shape[1]
     product = np.eye(*transitions.shape[1:])
     for transition in transitions:

@@ -120,7 +120,7 @@ class MujocoSimulation:
             ctrl: one row for every simulation, also for those not stepped.
             env_ids: the simulations to step; all by default.
             held: the controls until these arrive, if they are late.
-            path: receives the way through the step.
+            path: receives the path through the step.
         """
         out, stepped = self.state.copy(), self._ids(env_ids)
         paths = np.empty((len(stepped), self.num_substeps + 1, self.scene.keyboard.num_keys))
@@ -147,13 +147,13 @@ class MujocoSimulation:
         key_path: Array,
         path: Path | None = None,
     ) -> None:
-        """Take a step of simulation `i`, and write where its keys are on the way.
+        """Take a step of simulation `i`, and write the paths of its keys and hands.
 
-        `key_path` (S + 1, K) are their angles before the step and after each physics step [rad].
-        The hands' joints and touch are written to `path`.
+        `key_path` (S + 1, K) receives the angles of keys before the step and after each physics
+        step [rad], `path` the hands' joints and touch.
         """
-        # Ends on mj_step1, so that what is read afterwards belongs to the new state. This order
-        # also reproduces the published recordings, which were made by the same engine.
+        # Ends on mj_step1, so that all derived quantities belong to the new state. This order also
+        # reproduces the published recordings, which were made by the same engine.
         model, data, keys = self._models[i], self._data[i], self.scene.key_qpos
         key_qpos = data.qpos[keys]  # a view, which moves with the simulation
         late = 0 if held is None else int(held.substeps[i])
@@ -172,7 +172,7 @@ class MujocoSimulation:
         mujoco.mj_step1(model, data)
 
     def _note(self, i: int, path: Path | None, at: int) -> None:
-        """Write the joints and the touch of the hands of simulation `i` on a path, if there is."""
+        """Write the joints and the touch of the hands of simulation `i` to a path, if given."""
         if path is not None:
             data, scene = self._data[i], self.scene
             path.hand_qpos[i, at] = data.qpos[scene.hand_qpos]
@@ -199,7 +199,7 @@ class MujocoSimulation:
         out.unstable[row] = data.warning.number[UNSTABLE].any()
 
     def _read_key_events(self, out: State, rows: Any, key_paths: Array) -> None:
-        """Write what happened to the keys on their paths (..., S + 1, K) into rows of `out`."""
+        """Write the events of keys on their paths (..., S + 1, K) into rows of `out`."""
         substep, sounds_from = self._substep, self.scene.keyboard.sounds_from
         events = last_key_events(key_paths, sounds_from, substep)
         for values, new in zip(out.key_events, events, strict=True):
@@ -237,7 +237,7 @@ class MujocoSimulation:
         return state
 
     def save(self, env_id: int) -> Any:
-        """Everything from which a simulation goes on, to the bit, after `restore`; for pickles."""
+        """The full state of a simulation, for `restore` to the bit, and for pickles."""
         data = copy(self._data[env_id])
         awake = [getattr(data, name) for name in _AWAKE]
         return data, awake, self._factors.get(env_id), [v[env_id].copy() for v in self.state]

@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 
 
 def as_mujoco(simulation: Simulation) -> MujocoSimulation:
-    """`simulation` itself, whose physical state a planner can take over.
+    """`simulation` itself, if a planner can copy its physical state.
 
-    Raises CadenzaError if the simulation is one of another engine, or of hands that play apart.
+    Raises CadenzaError if it runs in another engine, or its hands play apart.
     """
     if isinstance(simulation, HandsApart):
         raise CadenzaError(

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class State(NamedTuple):
-    """State of N simulations after a step, as far as the task may know it.
+    """State of N simulations after a step, as tasks see it.
 
     Positions, velocities and contacts belong to the new state; forces to the last physics step that
     led there, as in the published system. There are K keys, J hand joints, A actuators, and F
@@ -45,8 +45,8 @@ class State(NamedTuple):
     actuator_velocity: Array
     """(N, A) velocities of the actuators [m/s, rad/s]."""
     forearm_contact: NDArray[np.bool_]
-    """(N,) whether links touch that the reward for forearms keeps apart (`Hand.kept_apart`); always
-    False unless it was asked for."""
+    """(N,) whether links touch that the reward for forearms keeps apart (`Hand.kept_apart`); False
+    unless forearms are watched."""
     touch: Array
     """(N, F) normal forces on the fingertips [N]; zero without touch sensors."""
     unstable: NDArray[np.bool_]
@@ -75,7 +75,7 @@ class State(NamedTuple):
 
     @property
     def key_events(self) -> tuple[Array, Array, Array]:
-        """What happened to the keys in the step: `key_onset`, `key_offset`, `key_speed`."""
+        """The events of keys in the step: `key_onset`, `key_offset`, `key_speed`."""
         return self.key_onset, self.key_offset, self.key_speed
 
     def copy(self) -> State:
@@ -98,7 +98,7 @@ class HeldControls(NamedTuple):
 
 
 class Path(NamedTuple):
-    """The way through a control step: its S + 1 states, before and after each physics step."""
+    """The path through a control step: its S + 1 states, before and after each physics step."""
 
     hand_qpos: Array  # (N, S + 1, J) joint positions of the hands [m, rad]
     hand_qvel: Array  # (N, S + 1, J) joint velocities of the hands [m/s, rad/s]
@@ -107,17 +107,16 @@ class Path(NamedTuple):
 
     @classmethod
     def still(cls, state: State, length: int) -> Path:
-        """A way of `length` states that are all the same."""
+        """A path of `length` equal states."""
         xp = state.hand_qpos.__array_namespace__()
         values = state.hand_qpos, state.hand_qvel, state.key_qpos, state.touch
         return cls(*(xp.repeat(v[:, None], length, axis=1) for v in values))
 
 
 class Simulation(Protocol):
-    """N simulations of one scene. Nothing in one depends on the others.
+    """N independent simulations of one scene.
 
-    Without domain randomization nobody calls `randomize` or `push`, and `held` and `path` are left
-    out.
+    Only domain randomization calls `randomize` and `push`, and gives `held` and `path`.
     """
 
     @property
@@ -133,7 +132,7 @@ class Simulation(Protocol):
         """
 
     def randomize(self, env_id: int, factors: Factors) -> None:
-        """Scale the nominal model of one simulation, which is to be reset next.
+        """Scale the nominal model of one simulation, which must be reset next.
 
         Args:
             env_id: the simulation.
@@ -157,7 +156,7 @@ class Simulation(Protocol):
                 also for those not stepped.
             env_ids: the simulations to step; all if None.
             held: the controls until these arrive, if they are late.
-            path: receives the way through the step, of those that are stepped.
+            path: receives the path through the step, of simulations that are stepped.
         """
 
     def close(self) -> None:

@@ -25,7 +25,7 @@ _MAX_GEOMS = 2000
 
 
 def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:
-    """A graphics context of the first backend that works, or of that which MUJOCO_GL names.
+    """A graphics context of the backend that MUJOCO_GL names, or of the first one that works.
 
     Raises CadenzaError if none works here, or none can in this process.
     """
@@ -60,7 +60,7 @@ def _opened(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco
 def _free(context: mujoco.MjrContext, gl: Any) -> None:
     """Free what `_opened` returned."""
     with suppress(Exception):  # it may be current in another thread, and can then not be used here
-        gl.make_current()  # or the buffers of whichever context is current would go
+        gl.make_current()  # or another context's buffers would be freed
         context.free()
     gl.free()
 
@@ -171,7 +171,7 @@ def _free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
     return mujoco.MjvCamera()
 
 
-_AROUND = np.concatenate([np.eye(3), -np.eye(3)])  # along the axes both ways; [2::3] is up, down
+_BOTH_WAYS = np.concatenate([np.eye(3), -np.eye(3)])  # along the axes both ways; [2::3] is up, down
 _PALM, _TIP = 0.035, 0.02  # [m] from the middles of bodies of hands to their edges, about
 
 
@@ -193,19 +193,19 @@ class _View:
         near, far = scene.keyboard.bounds
         front = max(far[0], self._shown(data)[:, 0].max())  # hands reach out of it
         ends = (near[0], low[1], near[2]), (front, high[1], far[2])
-        self._whole = Sight(points_of_box(*ends), self._around(data))
+        self._scene_sight = Sight(points_of_box(*ends), self._around(data))
 
     def _shown(self, data: mujoco.MjData) -> Points:
-        bodies = data.xpos[self._hands, None] + self._sizes[:, None, None] * _AROUND
+        bodies = data.xpos[self._hands, None] + self._sizes[:, None, None] * _BOTH_WAYS
         return bodies.reshape(-1, 3)
 
     def _around(self, data: mujoco.MjData) -> Points:
-        ends = (data.xpos[self._roots, None] + _TIP * _AROUND[2::3]).reshape(-1, 3)
+        ends = (data.xpos[self._roots, None] + _TIP * _BOTH_WAYS[2::3]).reshape(-1, 3)
         return np.concatenate([self._case, ends])
 
     def aim(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
         """Place a free camera as the hands are."""
         hands = Sight(self._shown(data), self._around(data))
-        camera.lookat[:], camera.distance = self._camera.place(self._whole, hands)
+        camera.lookat[:], camera.distance = self._camera.place(self._scene_sight, hands)
         x, y, z = self._camera.axes[2]
         camera.azimuth, camera.elevation = np.degrees([np.arctan2(-y, -x), -np.arcsin(z)])

@@ -30,7 +30,7 @@ def cpu_seconds() -> float:
 
 
 class Threads:
-    """A pool that starts when it is first needed. A copy, and a forked child, starts its own."""
+    """A pool that starts when it is first used; a copy or a forked child starts its own."""
 
     def __init__(self, num_threads: int) -> None:
         """Prepare a pool of threads; raises CadenzaError if their number is not positive."""
@@ -49,7 +49,7 @@ class Threads:
                 work(i)
             return
         pool = self._running_pool()
-        queue = iter(list(ids))  # each thread takes the next id that nobody has taken
+        queue = iter(list(ids))  # shared: each thread takes the next id
 
         def work_on_queue() -> None:
             for i in queue:
@@ -61,9 +61,9 @@ class Threads:
             future.result()
 
     def ahead(self, items: Iterator[_T]) -> Iterator[_T]:
-        """Yield items, each made by an idle thread, if there is one, while that before is used.
+        """Yield items up to None; idle threads make each while its predecessor is used.
 
-        The first is made by the caller. None ends them.
+        The caller makes the first one.
         """
         if self._num_threads == 1:
             yield from items

@@ -43,7 +43,7 @@ _LOST = mjw.OverflowType.ALL & ~(mjw.OverflowType.ITERATIONS | mjw.OverflowType.
 """Overflows by which contacts or constraints are left out."""
 _DIVERGED = 1e10
 """The position or velocity from which on MuJoCo takes a simulation for diverged (mjMAXVAL)."""
-_CONTACTS = "contact_geoms", "contact_worlds", "num_contacts"  # what is told of contacts
+_CONTACTS = "contact_geoms", "contact_worlds", "num_contacts"
 
 
 @dataclass(frozen=True)
@@ -63,24 +63,24 @@ class Buffers:
 
 
 class Physics(NamedTuple):
-    """The physical state of N worlds: all from which the next steps follow."""
+    """The full physical state of N worlds."""
 
     qpos: Any  # (N, nq) positions of all joints [m, rad]
     qvel: Any  # (N, nv) their velocities [m/s, rad/s]
     warmstart: Any  # (N, nv) accelerations from which the solver starts [m/s^2, rad/s^2]
     unstable: Any  # (N,) bool, whether a world has diverged, or lost contacts, since it was reset
-    # (N,) int32, which buffers had no room for contacts since it was reset, bits of
+    # (N,) int32, buffers that had no room for contacts since the reset, as bits of
     # `mujoco_warp.OverflowType`
     overflow: Any
-    # The way through the last step, a `Path` without the state before it; None if nobody asked
+    # The path through the last step, a `Path` without the state before it; None if it is not kept
     path: Any = None
 
 
 class WarpPhysics:
     """The physics of N worlds of a scene, as pure functions that `jax.jit` compiles.
 
-    Keys never sleep here, as on a GPU each world costs the same whatever is at rest in it; those of
-    `MujocoSimulation` then move by up to 1e-4 rad otherwise.
+    Keys never sleep here, as on a GPU each world costs the same whatever is at rest in it. They
+    differ from keys of `MujocoSimulation`, which sleep, by up to 1e-4 rad.
 
     A world that has diverged, or for whose contacts there was no room, is unstable, and rests in
     its start until it is reset, so that it does not take room from others.
@@ -100,15 +100,15 @@ class WarpPhysics:
         """Allocate N worlds on JAX's device. The first step compiles for up to a minute or two.
 
         Args:
-            scene: as of `MujocoSimulation`, and so are the three after it.
+            scene: the scene.
             num_envs: N.
             control_timestep: time of a control step [s].
-            watch_forearms: whether contacts of forearms are told.
+            watch_forearms: whether states have `State.forearm_contact`.
             buffers: room for contacts.
             scaled: each world has the quantities of these names scaled by factors of its own, see
                 `cadenza.scene.randomization.shapes`.
             pushed: whether bodies are pushed.
-            keeps_path: whether states have the way through the last step.
+            keeps_path: whether states have the path through the last step.
 
         Raises CadenzaError if a number makes no sense.
         """
@@ -139,7 +139,7 @@ class WarpPhysics:
         return at_rest._replace(path=self._path(*throughout))
 
     def _path(self, qpos: Any, qvel: Any, sensors: Any) -> Path:
-        """The way of hands and keys through worlds (N, S, ...) after each of S physics steps."""
+        """The path of hands and keys in worlds (N, S, ...) after each of S physics steps."""
         hands = qpos[..., self.scene.hand_qpos], qvel[..., self.scene.hand_qvel]
         return Path(*hands, qpos[..., self.scene.key_qpos], self._touch(sensors))
 
@@ -233,14 +233,14 @@ class WarpPhysics:
         return nowhere.at[world].max(both)
 
     def _make_simulate(self) -> Any:
-        """The function from states and controls to what is simulated, which JAX can call."""
+        """The function from states and controls to simulated arrays, which JAX can call."""
         num_envs, model = self.num_envs, _awake(self.scene.model)
         keys, num_substeps = self.scene.key_qpos, self.num_substeps
         watched, buffers = self._watch_forearms, self._buffers
         device = wp.get_device("cuda:0" if self._on_gpu else "cpu")
         with wp.ScopedDevice(device):
             m = mjw.put_model(model)
-            m.opt.warn_overflow = 0  # it is told as `Physics.overflow`
+            m.opt.warn_overflow = 0  # it is in `Physics.overflow`
             d = mjw.make_data(
                 model,
                 nworld=num_envs,
@@ -275,8 +275,8 @@ class WarpPhysics:
             reached |= {"force": d.actuator_force, "sensors": d.sensordata}
             if watched:
                 mjw.collision(m, d)
-                told = d.contact.geom, d.contact.worldid, d.nacon
-                reached |= dict(zip(_CONTACTS, told, strict=True))
+                contacts = d.contact.geom, d.contact.worldid, d.nacon
+                reached |= dict(zip(_CONTACTS, contacts, strict=True))
             for name, values in reached.items():
                 wp.copy(out[name], values)
 
@@ -296,11 +296,11 @@ class WarpPhysics:
             "geoms": (wp.array2d(dtype=wp.vec3), (num_envs, model.ngeom)),
             "sites": (wp.array2d(dtype=wp.vec3), (num_envs, model.nsite)),
         }
-        ways = {"key_path": keys.stop - keys.start}
+        path_sizes = {"key_path": keys.stop - keys.start}
         if self._keeps_path:
-            ways |= {"qpos_path": model.nq, "qvel_path": model.nv}
-            ways |= {"sensor_path": model.nsensordata} if model.nsensordata else {}
-        for name, size in ways.items():
+            path_sizes |= {"qpos_path": model.nq, "qvel_path": model.nv}
+            path_sizes |= {"sensor_path": model.nsensordata} if model.nsensordata else {}
+        for name, size in path_sizes.items():
             shapes[name] = wp.array3d(dtype=float), (num_envs, num_substeps, size)
         if watched:
             geoms, worlds, count = _CONTACTS
@@ -357,7 +357,7 @@ def _servo_velocities(model: mujoco.MjModel) -> NDArray[np.float32]:
 class WarpSimulation:
     """N simulations on JAX's device; implements `protocol.Simulation` with NumPy.
 
-    Each step copies its state to the host. What is to stay on the device calls `WarpPhysics`.
+    Each step copies its state to the host; `WarpPhysics` stays on the device.
 
     Attributes:
         state: the state after the last step.

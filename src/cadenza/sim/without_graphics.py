@@ -1,7 +1,7 @@
 """Import MuJoCo, even where the graphics library is missing that MUJOCO_GL names.
 
 MuJoCo opens that library when it is imported, and fails without it, though little of what Cadenza
-does draws. Whatever draws opens it anew, and says what is missing: see `cadenza.sim.render`.
+does draws. `cadenza.sim.render` opens it anew, and says what is missing.
 """
 
 import os
@@ -9,9 +9,9 @@ import os
 try:
     import mujoco
 except Exception:  # PyOpenGL fails in many ways
-    _wanted = os.environ["MUJOCO_GL"]
+    _library = os.environ["MUJOCO_GL"]
     os.environ["MUJOCO_GL"] = "off"
     try:
         import mujoco  # noqa: F401
     finally:
-        os.environ["MUJOCO_GL"] = _wanted
+        os.environ["MUJOCO_GL"] = _library

@@ -37,7 +37,7 @@ class Broadcast:
 
     @property
     def is_over(self) -> bool:
-        """Return whether nothing more happens."""
+        """Whether nothing more happens."""
         return self.status["state"] in _OVER
 
     def notify(self) -> None:

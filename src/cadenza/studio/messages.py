@@ -41,5 +41,5 @@ Send = Callable[[WireMessage], None]
 
 
 def json_message(**content: Any) -> WireMessage:
-    """Return a message that holds an object of JSON."""
+    """A message that holds an object of JSON."""
     return WireMessage(JSON, json.dumps(content, allow_nan=False).encode())

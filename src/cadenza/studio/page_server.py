@@ -60,7 +60,7 @@ class Address:
 
 
 def read_address(path: Path) -> Address | None:
-    """Return the last address, None without one; raises CadenzaError if others may know it."""
+    """The last address, None without one; raises CadenzaError if others may know it."""
     if _is_open_to_others(path.parent, _OTHERS_WRITE):
         raise CadenzaError(
             f"{path.parent}: other users of this machine may change what is in it; choose another "
@@ -79,7 +79,7 @@ def read_address(path: Path) -> Address | None:
 
 
 def _is_open_to_others(path: Path, permissions: int) -> bool:
-    """Return whether others own a file or have one of these permissions (bits of a mode)."""
+    """Whether others own a file or have one of these permissions (bits of a mode)."""
     about = path.lstat()
     if stat.S_ISLNK(about.st_mode):
         return True  # it may lead to a file of theirs
@@ -122,13 +122,13 @@ _KILLED = 128  # what shells add to the number of a signal that ends a process
 
 
 def _own(name: str) -> str:
-    """Return a file of the studio's own page."""
+    """A file of the studio's own page."""
     return resources.files("cadenza.studio").joinpath("page", name).read_text("utf-8")
 
 
 @cache
 def page() -> str:
-    """Return the page itself."""
+    """The page itself."""
     return rendered(_own("studio.html"))
 
 
@@ -286,7 +286,7 @@ class AccessControl:
             await self._app(inner, receive, with_headers)
 
     def _reason_to_refuse(self, scope: Scope) -> str:
-        """Return an empty string for a request that is let through."""
+        """An empty string for a request that is let through."""
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin")
         if not self._is_ours(host):
@@ -300,7 +300,7 @@ class AccessControl:
         return ""
 
     def _is_ours(self, host: str) -> bool:
-        """Return whether nobody can point this host elsewhere, as with a number or localhost."""
+        """Whether nobody can point this host elsewhere, as with a number or localhost."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:

@@ -114,7 +114,7 @@ def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
 
 
 def error_text(error: BaseException, order: Order) -> str:
-    """Return an error as the page shows it."""
+    """An error as the page shows it."""
     return error_without_path(error, Path(order.source) if order.uploaded else None)
 
 
@@ -181,7 +181,7 @@ def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
 
 
 def practice_folder_of(order: Order) -> Path:
-    """Return the folder in which an order is practised."""
+    """The folder in which an order is practised."""
     return practice_folder(Path(order.folder), order.request, _song(order).score)
 
 
@@ -222,7 +222,7 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
 
 
 def progress_reporter(send: Send, state: str = "preparing") -> Progress:
-    """Return what sends how far a stage is, unless the last report on it is recent."""
+    """A function that reports the progress of a stage, unless its last report is recent."""
     last_stage, last_time = "", 0.0
 
     def report(stage: str, done: int, total: int) -> None:

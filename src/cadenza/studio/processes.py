@@ -73,7 +73,7 @@ async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
 
 
 async def _output_of(module: str, *arguments: str, **how: Any) -> bytes | None:
-    """Return what a module of ours prints as a process; None if it fails, or is killed."""
+    """The output of a module of ours, run as a process; None if it fails, or is killed."""
     process = await start_process(module, *arguments, **how)
     try:
         output, _ = await process.communicate()
@@ -84,7 +84,7 @@ async def _output_of(module: str, *arguments: str, **how: Any) -> bytes | None:
 
 
 async def read_upload(path: Path) -> dict[str, Any]:
-    """Return what a file holds, see `cadenza.studio.upload_reader`, read by a limited process.
+    """Read a file in a limited process, see `cadenza.studio.upload_reader`.
 
     Raises CadenzaError if it is no music, or more than the studio takes.
     """
@@ -102,7 +102,7 @@ async def read_upload(path: Path) -> dict[str, Any]:
 
 
 async def opening_picture(song: str) -> bytes:
-    """Return the first picture of a song, see `studio.state_stream`; nothing if it fails."""
+    """The first picture of a song, see `studio.state_stream`; nothing if it fails."""
     try:
         return await _output_of("cadenza.studio.state_stream", song, stderr=DEVNULL) or b""
     except OSError:  # there is no room for it

@@ -103,13 +103,13 @@ class Order:
 
 
 def hand_titles() -> dict[str, str]:
-    """Return the titles of the hands on the page, by their names."""
+    """The titles of the hands on the page, by their names."""
     about = {name: entry.about.removeprefix("the ") for name, entry in HANDS.entries().items()}
     return {name: words[:1].upper() + words[1:] or name for name, words in about.items()}
 
 
 def read_request(content: Any, agents: Collection[str], hands: Collection[str]) -> PlayRequest:
-    """Return the request that JSON holds, for one of these agents and hands.
+    """The request that JSON holds, for one of these agents and hands.
 
     Raises CadenzaError if it holds something else, or asks for what cannot be.
     """
@@ -128,12 +128,12 @@ def read_request(content: Any, agents: Collection[str], hands: Collection[str]) 
 
 
 def unfinished_folder(root: Path, id: str) -> Path:
-    """Return the folder in which a performance is written until it is whole; nobody lists it."""
+    """The folder in which a performance is written until it is whole; nobody lists it."""
     return root / f".{id}"
 
 
 def practice_folder(root: Path, request: PlayRequest, score: Score) -> Path:
-    """Return the folder in which a request is practised, for a song that has this score now."""
+    """The folder in which a request is practised, for a song that has this score now."""
     notes = [(note.start, note.end, note.pitch) for note in score.notes]
     text = json.dumps([asdict(request), notes], sort_keys=True)
     return root / "practised" / hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]

@@ -78,7 +78,7 @@ class Studio:
         self._opening: asyncio.Task[bytes] | None = None
 
     async def broadcast(self, id: str) -> Broadcast | None:
-        """Return a job or a performance that is kept; None if there is none of this id."""
+        """A job or a performance that is kept; None if there is none of this id."""
         if id in self.jobs.jobs:
             return self.jobs.jobs[id]
         try:
@@ -87,7 +87,7 @@ class Studio:
             return None
 
     def routes(self) -> list[BaseRoute]:
-        """Return all that the server answers."""
+        """All that the server answers."""
         storage, jobs = self.storage, self.jobs
         remove = storage.remove_performance
         return [
@@ -109,7 +109,7 @@ class Studio:
         ]
 
     def app(self, token: str, host: str) -> AccessControl:
-        """Return the ASGI application, behind access control."""
+        """The ASGI application, behind access control."""
         errors: dict[Any, ExceptionHandler] = dict.fromkeys((CadenzaError, OSError), _report_error)
         app = Starlette(routes=self.routes(), lifespan=self.lifespan, exception_handlers=errors)
         return AccessControl(app, token, host)
@@ -238,17 +238,17 @@ async def _report_error(_: Request, error: Exception) -> Response:
 
 
 def error_response(message: str, status: int) -> Response:
-    """Return a response that says in one line what is wrong."""
+    """A response that says in one line what is wrong."""
     return JSONResponse({"error": message}, status)
 
 
 def _number(text: str) -> int:
-    """Return a number of up to three digits; -1 for anything else, however long it is."""
+    """A number of up to three digits; -1 for anything else, however long it is."""
     return int(text) if re.fullmatch("[0-9]{1,3}", text) else -1
 
 
 def _action(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
-    """Return an endpoint that calls `work` with the parameters of the path."""
+    """An endpoint that calls `work` with the parameters of the path."""
 
     async def endpoint(request: Request) -> Response:
         result = work(**request.path_params)
@@ -260,7 +260,7 @@ def _action(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]
 
 
 def _in_thread(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
-    """Return an endpoint as `_action` does; the work is on files, and done in a thread."""
+    """An endpoint as `_action` does; the work is on files, and done in a thread."""
     return _action(lambda **names: run_in_threadpool(work, **names))
 
 

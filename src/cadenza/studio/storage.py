@@ -105,7 +105,7 @@ class Storage:
         return uploaded + [_about(song) for song in _library_songs()]
 
     def source(self, song: str) -> tuple[str, str, bool]:
-        """Return title, name or path, and whether it is an upload, or raise CadenzaError."""
+        """Title, name or path, and whether it is an upload, or raise CadenzaError."""
         for library_song in _library_songs():
             if library_song.name == song:
                 return library_song.title or song, song, False
@@ -149,7 +149,7 @@ class Storage:
         write_json(self.uploads / f"{upload.id}.json", asdict(upload))
 
     def is_listed(self, id: str) -> bool:
-        """Return whether there is an upload of this id, which can be read."""
+        """Whether there is an upload of this id, which can be read."""
         return (self.uploads / f"{id}.json").exists()
 
     def remove_upload(self, id: str) -> None:
@@ -175,14 +175,14 @@ class Storage:
         return sorted(performances, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
-        """Return the path of one of `FILES` of a performance, or raise CadenzaError."""
+        """The path of one of `FILES` of a performance, or raise CadenzaError."""
         path = self._performance(id) / name
         if name not in FILES or not _is_own(path):
             raise CadenzaError("there is no such file")
         return path
 
     def broadcast(self, id: str) -> Broadcast:
-        """Return what was broadcast of a performance while it was played.
+        """The broadcast of a performance while it was played.
 
         Raises CadenzaError if there is no such performance, or it cannot be watched again.
         """
@@ -208,22 +208,22 @@ class Storage:
 
 
 def _is_own(path: Path) -> bool:
-    """Return whether a file lies here, and is no link to one that lies elsewhere."""
+    """Whether a file lies here, and is no link to one that lies elsewhere."""
     return path.is_file() and not path.is_symlink()
 
 
 def _is_temporary(path: Path) -> bool:
-    """Return whether a file or folder was being written."""
+    """Whether a file or folder was being written."""
     return path.name.startswith(TEMPORARY)
 
 
 def _has_states(folder: Path) -> bool:
-    """Return whether the states of a performance are there, so that it can be watched again."""
+    """Whether the states of a performance are there, so that it can be watched again."""
     return _is_own(folder / HEADER_FILE) and _is_own(folder / ROWS_FILE)
 
 
 def _about(song: Song) -> dict[str, Any]:
-    """Return what the list shows of a song of a library."""
+    """The fields that the list shows of a song of a library."""
     return {
         "id": song.name,
         "title": song.title or song.name,
@@ -243,7 +243,7 @@ def _library_songs() -> Iterator[Song]:
 
 
 def _title(name: str) -> str:
-    """Return a title that can be shown, made of the name of a file."""
+    """A title that can be shown, made of the name of a file."""
     stem, dot, ending = name.strip().rpartition(".")
     bare = stem if f"{dot}{ending}".lower() in MUSIC else name
     return printable(bare)[:_MAX_TITLE] or "Untitled"

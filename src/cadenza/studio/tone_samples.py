@@ -27,7 +27,7 @@ INSTRUMENT: dict[str, Any] = {
 
 
 def samples(pitch: int, band: int) -> bytes:
-    """Return the peak as float32, and int16 samples, little-endian, faded out at their end.
+    """The peak as float32, and int16 samples, little-endian, faded out at their end.
 
     `band`, below `NUM_BANDS`, is of velocities.
     """
@@ -51,7 +51,7 @@ class Synthesizer:
         self._limiter = CapacityLimiter(1)
 
     async def tone(self, pitch: int, band: int) -> bytes:
-        """Return the samples of a tone, see `samples`.
+        """The samples of a tone, see `samples`.
 
         Raises CadenzaError if there is no such tone, or the process has ended.
         """

@@ -20,7 +20,7 @@ _MAX_TRACKS, _MAX_REMARKS = 256, 20  # that are shown of a file
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return what the page shows of a file.
+    """The fields that the page shows of a file.
 
     Raises CadenzaError if it is no music, or too much of it.
     """
@@ -56,7 +56,7 @@ def check_size(score: Score) -> None:
 
 
 def error_without_path(error: BaseException, path: Path | None) -> str:
-    """Return an error in one line that does not say where a file lies on this machine."""
+    """An error in one line that does not say where a file lies on this machine."""
     text = str(error)
     if path is not None:
         text = text.removeprefix(f"{path}: ").replace(str(path), "the file")

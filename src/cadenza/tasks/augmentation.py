@@ -15,7 +15,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 
 _OCTAVE = 12  # [semitones]
-_MAXIMUM = {  # of options from 0 on, which no user needs to exceed
+_MAX_OPTIONS = {  # for options that begin at 0; no user needs more
     "control_timestep": 60,
     "n_steps_lookahead": 100_000,
     "n_seconds_lookahead": 3600,
@@ -35,7 +35,7 @@ _MAXIMUM = {  # of options from 0 on, which no user needs to exceed
 def prepare_tracks(
     songs: Sequence[Score | GoalTrack], config: TaskConfig, scene: Scene
 ) -> tuple[GoalTrack, ...]:
-    """The tracks of songs, see `prepare_track`; those that have been prepared stay as they are.
+    """The tracks of songs, see `prepare_track`; songs that are tracks already stay as they are.
 
     Raises CadenzaError if there is no song, or one that cannot be prepared.
     """
@@ -69,8 +69,8 @@ def prepare_track(
 def unchanged_track(score: Score, config: TaskConfig, scene: Scene) -> GoalTrack:
     """The track of a score in its own tempo, key and fingering.
 
-    Fingers are looked for if it has none at all and the task observes them. Raises CadenzaError if
-    it has no notes, or some that the keyboard has not, or lasts too long.
+    Fingers are found if it has none at all and the task observes them. Raises CadenzaError if it
+    has no notes, lasts too long, or has notes beyond the keyboard.
     """
     _check_notes(score)
     _check_duration(score.total_time, replace(config, random_stretch=0.0))
@@ -102,8 +102,8 @@ def _check_options(config: TaskConfig) -> None:
     for name in ("control_timestep", "fingering_margin"):
         if not (value := getattr(config, name)) > 0:
             raise CadenzaError(f"{name} {value}: choose more than 0")
-    maxima = {name: most for name, most in _MAXIMUM.items() if getattr(config, name) is not None}
-    check_ranges(config, {name: (0, most) for name, most in maxima.items()})
+    given = {n: (0, most) for n, most in _MAX_OPTIONS.items() if getattr(config, n) is not None}
+    check_ranges(config, given)
 
 
 def _check_duration(seconds: float, config: TaskConfig) -> None:
@@ -156,8 +156,8 @@ def draw_track(
 ) -> GoalTrack:
     """Draw a song, its tempo and its transposition for an episode, on keys of these `pitches`.
 
-    Only what `song`, an index, and the configuration leave open takes numbers from `rng`. Fingers
-    that were found for the song are found anew if it is transposed: other keys are black then.
+    `rng` draws only what `song`, an index, and the configuration leave open. Fingers that were
+    found for the song are found anew if it is transposed: other keys are black then.
     """
     if song is None:
         song = int(rng.integers(len(tracks))) if len(tracks) > 1 else 0
@@ -183,10 +183,10 @@ def _is_applied(config: TaskConfig, rng: np.random.Generator) -> bool:
 
 
 def _randomly_transposed(
-    score: Score, most: int, semitones: int, pitches: range, rng: np.random.Generator
+    score: Score, max_steps: int, semitones: int, pitches: range, rng: np.random.Generator
 ) -> Score:
-    """Transpose by up to `most` steps of `semitones` either way, within the keyboard."""
+    """Transpose by up to `max_steps` steps of `semitones` either way, within the keyboard."""
     used = [note.pitch for note in score.notes]
-    down = min(most, (min(used) - pitches[0]) // semitones)
-    up = min(most, (pitches[-1] - max(used)) // semitones)
+    down = min(max_steps, (min(used) - pitches[0]) // semitones)
+    up = min(max_steps, (pitches[-1] - max(used)) // semitones)
     return score.transposed(semitones * int(rng.integers(-down, up + 1)))

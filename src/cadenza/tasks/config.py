@@ -157,9 +157,10 @@ class TaskConfig:
     wrong_press_termination: bool = False
     """End the episode when a wrong key sounds."""
     fingering: Fingering = "auto"
-    """Fingers that are rewarded, and that planners use. auto: those of the score, and for other
-    notes what suits the robot's hands. robot: what suits them, for all notes. human: what a pianist
-    would use. transport: rewards the shortest way from fingers to keys. off: rewards none."""
+    """Fingers that are rewarded, and that planners use. auto: the fingers in the score, and for
+    other notes the ones that suit the robot's hands. robot: the ones that suit the robot's hands,
+    for all notes. human: a pianist's fingers. transport: rewards the shortest way from fingers to
+    keys. off: rewards none."""
     hands_as_written: bool = False
     """Have each hand play what the score has for it, as far as it can."""
     fingering_margin: float = 0.1
@@ -169,8 +170,7 @@ class TaskConfig:
     """Observe the velocities of the hands' joints, too [m/s, rad/s]."""
     onset_goals: bool = True
     """Observe when within control steps notes begin and how loud they are, and when and how loud
-    keys began to sound. What is rewarded is observed: without it, the two coefficients count for
-    nothing."""
+    keys began to sound. Without it, the rewards for both have no effect."""
     onset_timing_coefficient: float = 1.0
     """Weight of the reward for each note that begins in time."""
     loudness_coefficient: float = 0.5
@@ -210,7 +210,7 @@ class TaskConfig:
 
 
 # Options that do not change how the same actions move keys and hands.
-_PLAYED_ALIKE = {
+_WITHOUT_EFFECT_ON_MOTION = {
     "n_steps_lookahead",
     "n_seconds_lookahead",
     "fingering",
@@ -231,12 +231,14 @@ _PLAYED_ALIKE = {
 
 
 def task_identity(task: TaskConfig, scene: SceneConfig, seed: int, **song: Any) -> dict[str, Any]:
-    """The options, as in JSON, on which it depends how a plan of a song is played.
+    """The options, as in JSON, that decide how a plan of a song is played.
 
-    The file of a plan keeps them, practice is continued only with the same, and comparisons tell
-    where they differ. The seed is left out if the task draws nothing at random.
+    A plan's file keeps them, practice continues only with equal ones, and comparisons show where
+    they differ. The seed is left out if the task draws nothing at random.
     """
     options = asdict(task) | asdict(scene)
     drawn = any(value for name, value in asdict(task).items() if name.startswith("random_"))
-    chosen = {name: value for name, value in options.items() if name not in _PLAYED_ALIKE}
-    return dict(json.loads(json.dumps(chosen | song | ({"seed": seed} if drawn else {}))))
+    decisive = {
+        name: value for name, value in options.items() if name not in _WITHOUT_EFFECT_ON_MOTION
+    }
+    return dict(json.loads(json.dumps(decisive | song | ({"seed": seed} if drawn else {}))))

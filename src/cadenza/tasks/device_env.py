@@ -52,14 +52,13 @@ class DevicePianoVectorEnv(VectorEnv):
     ) -> None:
         """Make N environments of a song, or of songs that episodes are drawn from.
 
-        The options are fields of `TaskConfig` and `SceneConfig`; see `PianoVectorEnv`, and of the
-        simulation and the `reward_terms`, `FunctionalPianoTask`. Raises CadenzaError if a song
+        The options are fields of `TaskConfig` and `SceneConfig`; see `PianoVectorEnv`, and
+        `FunctionalPianoTask` on `make_physics` and `reward_terms`. Raises CadenzaError if a song
         cannot be played, or an option makes no sense or is missing here.
         """
         if options.get("autoreset_mode") == AutoresetMode.SAME_STEP:
             del options["autoreset_mode"]
-        of_c = signature(PianoVectorEnv).parameters.keys()
-        if missing := sorted(options.keys() & of_c):
+        if missing := sorted(options.keys() & signature(PianoVectorEnv).parameters.keys()):
             raise CadenzaError(f"the engine warp has no {', '.join(missing)}: choose the engine c")
         config, scene = configure(options, task, scene)
         self.task = FunctionalPianoTask(
@@ -100,7 +99,7 @@ class DevicePianoVectorEnv(VectorEnv):
         return self._state.obs, dict(self._state.info)
 
     def _logged_step(self, state: PianoState, action: Any) -> PianoState:
-        """A step of the task, which calls the host only when a simulation is the first to fail."""
+        """A step of the task, which calls the host only when the first simulation fails."""
         after = self.task.step(state, action)
         counts = [each.info["unstable_count"] for each in (state, after)]
         lost = after.info["unstable_count"], after.info["overflow_count"]
@@ -111,7 +110,7 @@ class DevicePianoVectorEnv(VectorEnv):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Take a control step with actions (N, A) in every environment.
 
-        Raises CadenzaError if no episode has started, or there are not as many actions.
+        Raises CadenzaError if no episode has started, or the actions have another shape.
         """
         if self._state is None:
             raise CadenzaError("no episode has started: call reset() before step()")

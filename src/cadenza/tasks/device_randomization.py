@@ -29,20 +29,20 @@ with extra_packages("gpu", "the engine warp"):
 Array = Any  # of JAX
 
 VARIANTS = 4096
-"""How many seeds episodes draw from, with 12 kB each for a model. MuJoCo computes models on the
-host, in 0.6 ms, so that they are there before the first step."""
+"""Number of seeds that episodes draw from; the model of each takes 12 kB. MuJoCo computes them on
+the host, in 0.6 ms each, before the first step."""
 
 
 class Draws(NamedTuple):
     """What is random in the episodes of N environments."""
 
-    seed: Array  # (N,) int32, the seed from which all follows but noise, pushes and drift
+    seed: Array  # (N,) int32, the seed of everything but noise, pushes and drift
     sent: Array  # (N, L, A + 1) the last actions in actuator units, the newest first
-    setpoint: Array  # (N, 2, A) where each servo's motor and what it moves have been sent
-    wandered: Array  # (N, J + K + F) how far the biases of sensors have wandered
-    offset: Array  # (N, J + K + F) what observed joints [m, rad], key states and touch [N] are off
+    setpoint: Array  # (N, 2, A) setpoints of each servo's motor and of its load
+    wandered: Array  # (N, J + K + F) drift of the biases of sensors
+    offset: Array  # (N, J + K + F) errors of observed joints [m, rad], key states and touch [N]
     past: Any  # the last states, a `Path` (N, H, ...), the newest last; None if nothing is late
-    heard: Any  # (N, W, 3, K) onsets, offsets, speeds of keys to hear of in the next W steps
+    late_events: Any  # (N, W, 3, K) onsets, offsets, speeds of keys that the next W steps observe
 
 
 class DeviceRandomization:
@@ -51,7 +51,7 @@ class DeviceRandomization:
     The same seed draws the same as in `Randomization`; noise, pushes and drift have other bits.
 
     Attributes:
-        physics: what `cadenza.sim.warp.WarpPhysics` has to be made with.
+        physics: arguments for `cadenza.sim.warp.WarpPhysics`.
     """
 
     def __init__(
@@ -95,21 +95,22 @@ class DeviceRandomization:
         num_sent = self._ranges.num_sent if self._ranges.has_latency else 0
         rest = self._ranges.resting_ctrl(state.hand_qpos)
         sent = jnp.pad(rest, ((0, 0), (0, 1)))[:, None]  # the pedal is up
-        past = heard = None
+        past = events = None
         if self._max_late:
             past = Path.still(state, self._max_late + 1)
             slots = self._max_late // self._ranges.substeps + 2
-            heard = jnp.full((self._num_envs, slots, 3, state.key_qpos.shape[1]), jnp.nan)
+            events = jnp.full((self._num_envs, slots, 3, state.key_qpos.shape[1]), jnp.nan)
         nothing = jnp.zeros((self._num_envs, len(self._ranges.bias)))
         setpoint = jnp.repeat(rest[:, None], 2, axis=1)
         late = jnp.repeat(sent, num_sent, axis=1)
-        return self._off(Draws(seed, late, setpoint, nothing, nothing, past, heard), of_sensors)
+        draws = Draws(seed, late, setpoint, nothing, nothing, past, events)
+        return self._with_offset(draws, of_sensors)
 
     def send(self, draws: Draws, ctrl: Array, key: Array) -> tuple[Draws, Array, dict[str, Any]]:
         """Send actions (N, A + 1) at the beginning of a control step, see `Randomization.step`.
 
-        Returns the draws, the actions (N, A + 1) that hold at the end of the step, and what else
-        the physics takes, see `cadenza.sim.warp.WarpPhysics.step`.
+        Returns the draws, the actions (N, A + 1) that hold at the end of the step, and other
+        arguments of `cadenza.sim.warp.WarpPhysics.step`.
         """
         of_control, of_push = jax.random.split(key)
         ranges, others = self._ranges, dict[str, Any]()
@@ -139,7 +140,7 @@ class DeviceRandomization:
         return draws, ctrl, others
 
     def _force(self, draws: Draws, key: Array) -> Array:
-        """(N, bodies, 3) gravity beside what is compensated, and now and then a push [N]."""
+        """(N, bodies, 3) uncompensated gravity, and now and then a push [N]."""
         ranges, scene, envs = self._ranges, self._ranges.scene, jnp.arange(self._num_envs)
         force: Any = jnp.zeros((self._num_envs, scene.model.nbody, 3))
         if ranges.config.gravity_tilt:
@@ -173,25 +174,25 @@ class DeviceRandomization:
                 draws.past,
                 path,
             )
-            draws = draws._replace(past=past, heard=self._hear(draws, state))
-        return self._off(draws, key)
+            draws = draws._replace(past=past, late_events=self._late_events(draws, state))
+        return self._with_offset(draws, key)
 
-    def _hear(self, draws: Draws, state: State) -> Array:
-        """(N, W, 3, K) what will be heard of after the last step, and when."""
+    def _late_events(self, draws: Draws, state: State) -> Array:
+        """(N, W, 3, K) events of keys up to the last step, by the steps that observe them."""
         ranges, onset = self._ranges, state.key_onset
         late = self._of(draws, OBSERVATION_LATENCY)[:, None] * ranges.physics_timestep
-        heard = jnp.roll(draws.heard, -1, axis=1).at[:, -1].set(jnp.nan)
-        steps = jnp.arange(heard.shape[1])[:, None]
+        events = jnp.roll(draws.late_events, -1, axis=1).at[:, -1].set(jnp.nan)
+        steps = jnp.arange(events.shape[1])[:, None]
         for row, (times, speeds) in enumerate(((onset, state.key_speed), (state.key_offset, None))):
             step, within = jnp.divmod(times + late, ranges.control_timestep)
             now = step[:, None] == steps  # never where nothing has happened, which is NaN
-            heard = heard.at[:, :, row].set(jnp.where(now, within[:, None], heard[:, :, row]))
+            events = events.at[:, :, row].set(jnp.where(now, within[:, None], events[:, :, row]))
             if speeds is not None:
-                heard = heard.at[:, :, 2].set(jnp.where(now, speeds[:, None], heard[:, :, 2]))
-        return heard
+                events = events.at[:, :, 2].set(jnp.where(now, speeds[:, None], events[:, :, 2]))
+        return events
 
-    def _off(self, draws: Draws, key: Array) -> Draws:
-        """Draw what the next observations are off."""
+    def _with_offset(self, draws: Draws, key: Array) -> Draws:
+        """Draw the errors of the next observations."""
         ranges, (of_noise, of_drift) = self._ranges, jax.random.split(key)
         size = self._num_envs, len(ranges.bias)
         offset = jnp.asarray(ranges.observation_noise) * jax.random.normal(of_noise, size)
@@ -202,8 +203,8 @@ class DeviceRandomization:
         return draws._replace(wandered=wandered, offset=offset + self._of(draws, BIAS) + wandered)
 
     def sensed(self, draws: Draws, state: State) -> State:
-        """The true state as sensors have it; fingertips, which nobody observes, are as they are."""
+        """The state as sensors measure it; fingertips, which are not observed, are true."""
         late = None
         if draws.past is not None:
-            late = self._of(draws, OBSERVATION_LATENCY), draws.past, draws.heard
+            late = self._of(draws, OBSERVATION_LATENCY), draws.past, draws.late_events
         return sensed_state(self._ranges, state, draws.offset, late)

@@ -20,7 +20,7 @@ from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.published import DEFAULTS, translated
 
 _STATISTICS = "return", "length"
-_NOT_HERE = "Rousseau"  # two published pieces are arrangements by him
+_NOT_INCLUDED = "Rousseau"  # two published pieces are arrangements by him
 _NAME = re.compile(r"RoboPianist-(debug|etude-12|repertoire-150)-(\w+)-v0")
 
 
@@ -58,7 +58,7 @@ def load(
             "RoboPianist-debug-CMajorScaleOneHand-v0, or a midi_file"
         )
     library, piece = named.groups() if named else ("", "")
-    if midi_file is None and piece.endswith(_NOT_HERE):
+    if midi_file is None and piece.endswith(_NOT_INCLUDED):
         raise CadenzaError(
             f"{environment_name}: this arrangement does not come with Cadenza; give its file as "
             "midi_file"
@@ -92,8 +92,8 @@ class DmEnvAdapter(dm_env.Environment):
     ) -> None:
         """Adapt an environment of Gymnasium, without pixels or wrappers that change observations.
 
-        `seed` is that of the first episode, and metrics are means over `deque_size` episodes. With
-        `actuator_units`, actions are in those instead of [-1, 1].
+        `seed` seeds the first episode, and metrics are means over `deque_size` episodes. With
+        `actuator_units`, actions are in actuator units instead of [-1, 1].
 
         Raises CadenzaError if observations are not those of a `PianoEnv`.
         """
@@ -192,7 +192,7 @@ class DmEnvAdapter(dm_env.Environment):
 
     @property
     def physics(self) -> Any:
-        """Raise a CadenzaError that says what there is instead of that of dm_control."""
+        """Raise a CadenzaError that says what to use instead of dm_control's physics."""
         raise CadenzaError(
             "there is no physics of dm_control: task.state has positions, speeds and forces, "
             "task.scene.model the MjModel, and pixels=True of the environment or render() pictures"

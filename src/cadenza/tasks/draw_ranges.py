@@ -1,4 +1,4 @@
-"""The ranges that domain randomization draws from, and its draws for an episode."""
+"""The ranges of domain randomization, and its draws for an episode."""
 
 import math
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ _STREAMS = (
     *("force_limit", "key_travel", KEY_SOUNDING, *POSE_FIELDS, GRAVITY_TILT, PUSH),
     *(*SERVO_RANGES, OBSERVATION_LATENCY, BIAS),
 )
-"""What has a generator of its own, in an order on which all draws depend."""
+"""All that has a random generator of its own, in an order on which all draws depend."""
 PUSHES = 1.0  # a second, on average
 MINUTE = 60.0  # [s] in which biases wander as far as `DomainRandomization.drift` says
 
@@ -55,19 +55,19 @@ MINUTE = 60.0  # [s] in which biases wander as far as `DomainRandomization.drift
 class DrawRanges:
     """The ranges of a task in its scene. All draws of an episode follow from them and from a seed.
 
-    Each field has a generator of its own, so that it does not depend on what else is on.
+    Each field has a generator of its own, so that its draws do not depend on other fields.
 
     Attributes:
         config: the ranges and standard deviations.
-        shapes: name -> shape of all that is drawn for an episode, see `draws`.
-        of_model: the names among them of what differs in the model.
+        shapes: name -> shape of all draws for an episode, see `draws`.
+        of_model: the names among them of draws that change the model.
         control_noise: (A,) standard deviations of noise on controls, in actuator units.
         observation_noise: (J + K + F,) standard deviations of noise on observed joints [m, rad],
             then on key states, then on touch [N].
-        bias: (J + K + F,) those of what is off in a whole episode.
+        bias: (J + K + F,) standard deviations of constant errors of observations.
         weight: (bodies,) the part of their weight that is compensated [N].
         has_latency: whether actions may be late.
-        num_sent: how many actions are kept, so that even the latest arrives, and one before it.
+        num_sent: the number of actions that are kept, for the greatest latency.
     """
 
     def __init__(self, config: DomainRandomization, scene: Scene, control_timestep: float) -> None:
@@ -114,15 +114,15 @@ class DrawRanges:
         return np.random.default_rng([seed, _STREAMS.index(name)])
 
     def factors(self, seed: int) -> dict[str, Array]:
-        """The factors, offsets and tilts of all that differs in the model."""
+        """The factors, offsets and tilts by which the model changes."""
         return {name: self._draw(seed, name) for name in self.of_model}
 
     def draws(self, seed: int) -> dict[str, Array]:
-        """All that is drawn for an episode, by name.
+        """The draws for an episode, by name.
 
-        `factors`; what servos have of `SERVO_RANGES`, (A,) each; gravity_tilt, the angles (2,)
-        about the axes x and y by which gravity is off [rad]; bias, what each sensor is off at the
-        beginning (J + K + F,); latency and observation_latency, rounded to physics steps [s].
+        `factors`; draws from `SERVO_RANGES` for servos, (A,) each; gravity_tilt, the angles (2,) of
+        gravity about the axes x and y [rad]; bias, the first errors of sensors (J + K + F,);
+        latency and observation_latency, rounded to physics steps [s].
         """
         return {name: self._draw(seed, name) for name in self.shapes}
 
@@ -151,30 +151,30 @@ class DrawRanges:
 
 
 def moved_setpoints(ranges: DrawRanges, setpoint: Any, ctrl: Any, drawn: Mapping[str, Any]) -> Any:
-    """Where servos are sent by controls (N, A), with their limits of speed, dead band and backlash.
+    """The setpoints of servos after controls (N, A), with speed limits, dead band and backlash.
 
     Args:
-        ranges: those of the servos.
-        setpoint: (N, 2, A) where each servo's motor and what it moves were sent before, of NumPy or
-            JAX.
+        ranges: the ranges of the servos.
+        setpoint: (N, 2, A) the previous setpoints of each servo's motor and of its load, of NumPy
+            or JAX.
         ctrl: (N, A) the controls.
-        drawn: those of `SERVO_RANGES` that differ, (N, A) each.
+        drawn: draws from `SERVO_RANGES`, (N, A) each, as far as they are on.
 
     Returns (N, 2, A).
     """
     xp, half = setpoint.__array_namespace__(), (ranges.high - ranges.low) / 2
-    motor, moved = setpoint[:, 0], setpoint[:, 1]
+    motor, load = setpoint[:, 0], setpoint[:, 1]
     change = ctrl - motor
     if "dead_band" in drawn:
         change = xp.where(abs(change) < drawn["dead_band"] * half, 0.0, change)
-    if "sweep_time" in drawn:  # no least time is no limit
+    if "sweep_time" in drawn:  # 0 is no limit
         time = drawn["sweep_time"]
-        most = 2 * half * ranges.control_timestep / xp.where(time > 0, time, 1.0)
-        most = xp.where(time > 0, most, xp.inf)
-        change = change.clip(-most, most)
+        limit = 2 * half * ranges.control_timestep / xp.where(time > 0, time, 1.0)
+        limit = xp.where(time > 0, limit, xp.inf)
+        change = change.clip(-limit, limit)
     motor = motor + change
     play = drawn.get("backlash", 0.0) * half / 2
-    return xp.stack([motor, moved.clip(motor - play, motor + play)], axis=1)
+    return xp.stack([motor, load.clip(motor - play, motor + play)], axis=1)
 
 
 def _check(config: DomainRandomization) -> None:

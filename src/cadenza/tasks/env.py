@@ -84,7 +84,7 @@ def _make_task(
         if num_envs != task.num_envs:
             raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}; give the same")
         return task
-    config, scene = configure(options, task, scene)  # first: it may be the song that is misspelt
+    config, scene = configure(options, task, scene)  # first, as `song` may be the misspelt option
     return PianoTask(scores_of(song), config, scene, num_envs, num_threads, reward_terms)
 
 
@@ -95,9 +95,9 @@ class PianoVectorEnv(VectorEnv):
     float32 arrays whose parts `observation_layout` names; with `pixels` a dictionary of them,
     "state", and of pictures, "pixels". `infos` holds the title of the song that each environment
     plays as "song", the reward terms as "reward/<term>", in the last step of an episode its scores
-    as "metrics/<name>", and where one begins what `DomainRandomization` has drawn for it as
-    "randomization/<name>". Which environments have one, "_metrics/<name>" says and so on: a metric
-    without a value, such as the timing error of an episode in which no note was hit, is left out.
+    as "metrics/<name>", and in the first the draws of `DomainRandomization` as
+    "randomization/<name>". "_metrics/<name>" and so on say which environments have a value: a
+    metric without one, such as the timing error of an episode without any hit, is left out.
 
     The score's end truncates an episode (the published environment gives it a discount of 1); a
     wrong key that ends it, or a simulation that became unstable, terminates it.
@@ -129,9 +129,9 @@ class PianoVectorEnv(VectorEnv):
             num_threads: threads that share the simulation.
             autoreset_mode: when finished environments are reset.
             render_mode: "rgb_array" to draw.
-            picture: size and camera of what is drawn.
+            picture: size and camera of pictures.
             pixels: observe pictures too.
-            privileged: have infos["privileged"] (N, P), what only a simulation knows, for critics;
+            privileged: have infos["privileged"] (N, P), the true state for critics;
                 `privileged_layout` names the parts, see `PianoTask.privileged`.
             task: the task's configuration, or a whole task, which has a song already.
             scene: the scene's configuration.
@@ -193,15 +193,14 @@ class PianoVectorEnv(VectorEnv):
         Raises CadenzaError if a seed or an option makes no sense, or the environment is closed.
 
         Args:
-            seed: the seed of the first environment, from which those of the others are counted
-                up; or one for each, None where the random generator stays.
+            seed: the seed of the first environment, and each of the others has the next; or a list
+                of seeds, None where the random generator stays.
             options: "reset_mask", (N,) bool, resets some of the environments only, but not at
-                first. The others hold for all environments, or are lists with one for each; None
+                first. Other options hold for all environments, or are lists with one for each; None
                 is drawn. "song": one of the songs by index, by title or as it was given. "score": a
                 `Score`, or a `WrittenScore` as JSON, which is played exactly as it is. "step": the
                 control step of the song to begin with. "start": (J,) joint positions of the hands
-                [m, rad]. "randomization": the number from which all that `DomainRandomization`
-                draws follows, as infos have it.
+                [m, rad]. "randomization": the seed of `DomainRandomization`, as in infos.
         """
         self._check_open()
         options = _known(options)
@@ -217,7 +216,7 @@ class PianoVectorEnv(VectorEnv):
         return self._observe(), self._songs(mask) | self._drawn(mask) | self._true_state()
 
     def get_state(self) -> list[Any]:
-        """(N,) all from which each environment goes on: physics, song, step, generators.
+        """(N,) the full state of each environment: physics, song, step, generators.
 
         Raises CadenzaError if no episode has started, or the simulation cannot be saved.
         """
@@ -293,7 +292,7 @@ class PianoVectorEnv(VectorEnv):
         return _infos(drawn, fresh)
 
     def _true_state(self) -> dict[str, Any]:
-        """Infos on what only the simulation knows, if they are asked for."""
+        """Infos with the true state, if they are privileged."""
         if not self._privileged:
             return {}
         parts = np.concatenate(list(self.task.privileged().values()), axis=1)
@@ -304,7 +303,7 @@ class PianoVectorEnv(VectorEnv):
         infos: dict[str, Any] = {}
         for env in np.flatnonzero(ended).tolist():
             metrics = self.task.episode_metrics(env).items()
-            # What is undefined is left out, so that means stay right.
+            # Undefined values are left out, so that means stay right.
             values = {f"metrics/{name}": value for name, value in metrics if not np.isnan(value)}
             infos = self._add_info(infos, values, env)
         return infos
@@ -353,9 +352,9 @@ class PianoVectorEnv(VectorEnv):
         result = self.task.step(self.task.spec.scale_action(actions), moving)
         if moving is not None:
             result = _blanked(result, fresh)
-        everyone = np.ones(self.num_envs, bool)
+        everywhere = np.ones(self.num_envs, bool)
         terms = {f"reward/{name}": values for name, values in result.terms.items()}
-        infos = self._songs(everyone) | _infos({"unstable": result.unstable, **terms}, ~fresh)
+        infos = self._songs(everywhere) | _infos({"unstable": result.unstable, **terms}, ~fresh)
         infos |= self._true_state()
         if moving is not None:
             infos |= self._drawn(fresh)
@@ -369,7 +368,7 @@ class PianoVectorEnv(VectorEnv):
             infos |= {"final_info": infos.copy(), "_final_info": ended}
             infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
             self._restart(np.flatnonzero(ended))
-            infos |= self._songs(everyone) | self._drawn(ended) | self._true_state()
+            infos |= self._songs(everywhere) | self._drawn(ended) | self._true_state()
             self._finished = np.zeros_like(ended)
             observation = self._observe()
         return observation, result.reward, result.terminated, result.truncated, infos
@@ -381,7 +380,7 @@ class PianoVectorEnv(VectorEnv):
     def _draw(self) -> NDArray[np.uint8]:
         state, task = self.task.state, self.task
         self._renderer = renderer = self._renderer or Renderer(task.scene, self._picture)
-        drawn = zip(state.hand_qpos, state.key_qpos, task.sounding, task.wanted, strict=True)
+        drawn = zip(state.hand_qpos, state.key_qpos, task.sounding, task.goal_keys, strict=True)
         return np.stack([renderer.frame(*each) for each in drawn])
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -448,7 +447,7 @@ class PianoEnv(gymnasium.Env):
         Raises CadenzaError if a seed or an option makes no sense, or the environment is closed.
 
         Args:
-            seed: what is random follows from it.
+            seed: the seed of everything random.
             options: "song", "score", "step", "start" and "randomization", see
                 `PianoVectorEnv.reset`.
         """
@@ -459,7 +458,7 @@ class PianoEnv(gymnasium.Env):
         return _row(observation, 0), _first(infos)
 
     def get_state(self) -> Any:
-        """All from which the environment goes on, see `PianoVectorEnv.get_state`."""
+        """The full state of the environment, see `PianoVectorEnv.get_state`."""
         return self._batch.get_state()[0]
 
     def set_state(self, state: Any) -> Observation:
@@ -488,8 +487,8 @@ class PianoEnv(gymnasium.Env):
 def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     """The options of a reset, none by default.
 
-    Raises CadenzaError if they are no dictionary, or there is no such option. If it were ignored,
-    songs would be drawn instead.
+    Raises CadenzaError if they are no dictionary, or there is no such option, which would otherwise
+    silently draw songs.
     """
     if not isinstance(options, Mapping | None):
         raise CadenzaError(
@@ -510,13 +509,13 @@ def checked_seed(seed: Any) -> int | None:
 
 
 def _infos(values: Mapping[str, Any], known: NDArray[np.bool_]) -> dict[str, Any]:
-    """Infos of a vector environment: values (N,) by name, and which environments have them."""
+    """Infos of a vector environment: values (N,) by name, and which environments have one."""
     return {**values, **{f"_{name}": known for name in values}}
 
 
-def _check_shape(what: str, given: Any, space: spaces.Space) -> None:
-    if np.shape(given) != space.shape:
-        raise CadenzaError(f"{what} of shape {np.shape(given)}: give {space.shape}")
+def _check_shape(name: str, values: Any, space: spaces.Space) -> None:
+    if np.shape(values) != space.shape:
+        raise CadenzaError(f"{name} of shape {np.shape(values)}: give {space.shape}")
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:

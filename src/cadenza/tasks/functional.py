@@ -25,14 +25,7 @@ from cadenza.tasks.device_randomization import DeviceRandomization
 from cadenza.tasks.goal_track import GoalTrack, UpcomingOnsets, onset_steps
 from cadenza.tasks.onset_matching import matched_onsets, no_notes_played
 from cadenza.tasks.piano_task import PEDAL_DOWN, offset_joints
-from cadenza.tasks.reward import (
-    Outcome,
-    Reward,
-    RewardTerm,
-    Transition,
-    key_activation,
-    key_state,
-)
+from cadenza.tasks.reward import Outcome, Reward, RewardTerm, Transition, key_activation, key_state
 from cadenza.tasks.view import task_spec
 
 with extra_packages("gpu", "the engine warp"):
@@ -45,8 +38,8 @@ Array = Any  # of JAX
 
 
 VARIATIONS = 64
-"""How many variations in tempo and pitch episodes draw from, of all songs together. Their fingers
-are found on the host, so that they are there before the first step."""
+"""Number of variations in tempo and pitch that episodes draw from, of all songs together. Their
+fingers are found on the host before the first step."""
 _MIN_VARIATIONS = 8  # of each song, of however many
 
 
@@ -65,7 +58,7 @@ class SongGoals(NamedTuple):
 
 
 class Episodes(NamedTuple):
-    """How far N environments have got."""
+    """The progress of N environments in their episodes."""
 
     song: Array  # (N,) int32, which of `SongGoals` each plays
     steps_done: Array  # (N,) int32, control steps since its reset
@@ -85,8 +78,8 @@ class PianoState(NamedTuple):
     """
 
     data: Any  # the physical state of all worlds, see `cadenza.sim.warp.Physics`
-    episodes: Episodes  # how far the environments have got
-    key: Array  # the key from which what is random follows
+    episodes: Episodes  # the progress of the environments
+    key: Array  # the random key
     obs: Array  # (N, D) float32, observations
     reward: Array  # (N,) rewards of the step
     done: Array  # (N,) bool, whether the episode ended with the step
@@ -105,10 +98,9 @@ class PianoState(NamedTuple):
 class FunctionalPianoTask:
     """N environments of the task, whose state is passed in and returned.
 
-    `reset` and `step` are compiled, and move nothing to the host. All songs and options of
-    `PianoTask` are there, but for what the constructor refuses. Domain randomization draws
-    from `cadenza.tasks.device_randomization.VARIANTS` seeds, random tempo and pitch from
-    `VARIATIONS`.
+    `reset` and `step` are compiled, and move nothing to the host. The constructor refuses songs and
+    options of `PianoTask` that are missing here. Domain randomization draws from
+    `cadenza.tasks.device_randomization.VARIANTS` seeds, random tempo and pitch from `VARIATIONS`.
     """
 
     def __init__(
@@ -217,10 +209,10 @@ class FunctionalPianoTask:
         Returns the episodes, and the joint positions (N, J) at which the hands start [m, rad].
         """
         of_song, of_hands, of_draws = jax.random.split(key, 3)
-        shape, most = (self.num_envs,), self.config.random_hand_position
+        shape, limit = (self.num_envs,), self.config.random_hand_position
         start = jnp.tile(jnp.asarray(self.scene.hand_start), (self.num_envs, 1))
-        if most:
-            offset = jax.random.uniform(of_hands, shape, minval=-most, maxval=most)
+        if limit:
+            offset = jax.random.uniform(of_hands, shape, minval=-limit, maxval=limit)
             start = start.at[:, self._offset_joints].set(offset[:, None])
         zeros = jnp.zeros(shape, jnp.int32)
         song = jax.random.randint(of_song, shape, 0, len(self.songs.num_steps), jnp.int32)
@@ -234,7 +226,7 @@ class FunctionalPianoTask:
         return Episodes(song, zeros, pedal, lost, notes, nothing, sums, draws), start
 
     def _resting(self, start: Array) -> State:
-        """What is observed of worlds that have been reset; fingertips and forces are not."""
+        """The state of worlds after a reset, as far as it is observed."""
         zeros = State.at_rest(self.scene, self.num_envs)
         return jax.tree.map(jnp.asarray, zeros)._replace(hand_qpos=start)
 
@@ -245,7 +237,7 @@ class FunctionalPianoTask:
     def advance(
         self, episodes: Episodes, state: State, ctrl: Array, arrived: Array | None = None
     ) -> tuple[Episodes, Transition]:
-        """What a control step has led to, as `PianoTask.step`.
+        """The result of a control step, as of `PianoTask.step`.
 
         Args:
             episodes: before the step.
@@ -313,7 +305,7 @@ class FunctionalPianoTask:
 def _variations(
     tracks: Sequence[GoalTrack], config: TaskConfig, scene: Scene
 ) -> Sequence[GoalTrack]:
-    """What episodes may play: as many variations of each track, if tempo or pitch is drawn."""
+    """The tracks that episodes draw from: variations of each if tempo or pitch is random."""
     if not draws_variation(config):
         return tracks
     count = max(VARIATIONS // len(tracks), _MIN_VARIATIONS)
@@ -353,11 +345,10 @@ def _padded(goals: Sequence[Goals], config: TaskConfig) -> SongGoals:
 
 
 def _check(config: TaskConfig, scene: Scene) -> None:
-    """Check that all options of the task are there on the device."""
-    missing = {
-        "hands apart": scene.config.hands == "apart",
-        "fingering transport": config.fingering == "transport",
-    }
-    for what, asked in missing.items():
-        if asked:
-            raise CadenzaError(f"the engine warp has no {what}: leave it out, or use the CPU's")
+    """Check that the device has all options of the task."""
+    for option, is_on in (
+        ("hands apart", scene.config.hands == "apart"),
+        ("fingering transport", config.fingering == "transport"),
+    ):
+        if is_on:
+            raise CadenzaError(f"the engine warp has no {option}: leave it out, or use the CPU's")

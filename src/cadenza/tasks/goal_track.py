@@ -107,9 +107,9 @@ class GoalTrack:
     def fingered(self, progress: Callable[[int, int], None] | None = None) -> GoalTrack:
         """Find a finger for every note that the hands can play, unless that was done before.
 
-        `progress` is called as by `find_fingering`. Raises CadenzaError if hands are to play what
-        is written for them, but the score does not say what that is; or a pianist's fingers are
-        asked for, and the hands have more.
+        `progress` is called as by `find_fingering`. Raises CadenzaError if each hand is to play its
+        own notes, but the score does not tell them apart; or if hands with more than a pianist's
+        fingers are to use a pianist's fingering.
         """
         if self.dropped is not None:
             return self
@@ -130,7 +130,7 @@ class GoalTrack:
 
 
 def check_written_hands(config: TaskConfig, score: Score, name: str) -> None:
-    """Check that a score says which hand plays what, if that is asked for.
+    """Check that a score says which hand plays what, if hands are to play as written.
 
     Raises CadenzaError if it does not; the message begins with the `name` of the song.
     """
@@ -234,14 +234,14 @@ class EpisodeGoals:
             num_envs = len(self.row)
             goal = np.zeros((num_envs, self._steps_seen, self._num_keys + 1), bool)
             fingers = np.empty((num_envs, self._num_keys), np.int8)
-            wanted = np.empty((num_envs, self._num_fingers), bool)
+            fingers_wanted = np.empty((num_envs, self._num_fingers), bool)
             for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
                 keys = goals.keys[row : row + self._steps_seen]
                 goal[env, : len(keys), :-1] = keys
                 goal[env, : len(keys), -1] = goals.sustain[row : row + self._steps_seen]
                 fingers[env] = goals.fingers[row]
-                wanted[env] = goals.fingers_wanted[row]
-            self._cached = UpcomingGoals(goal, fingers, wanted)
+                fingers_wanted[env] = goals.fingers_wanted[row]
+            self._cached = UpcomingGoals(goal, fingers, fingers_wanted)
         return self._cached
 
     @property

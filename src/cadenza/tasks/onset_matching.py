@@ -19,9 +19,9 @@ STEPS = (-1, 0, 1)  # the steps in which a note may be due: the last step, the o
 
 
 class OnsetErrors(NamedTuple):
-    """How far the onsets of keys in a step are from those of the notes that they play.
+    """Errors of the onsets of keys in a step, compared with the notes that they play.
 
-    NaN for keys that play no note then, and for keys that sounded twice in the step.
+    They are NaN for keys that play no note then, and for keys that sounded twice in the step.
     """
 
     time: Array
@@ -31,7 +31,7 @@ class OnsetErrors(NamedTuple):
 
 
 def no_notes_played(num_envs: int, num_keys: int) -> Mask:
-    """(N, 3, K) which of the notes near have been played when an episode begins: none."""
+    """(N, 3, K) which notes have been played when an episode begins: none."""
     return np.zeros((num_envs, len(STEPS), num_keys), bool)
 
 
@@ -45,15 +45,15 @@ def matched_onsets(
 ) -> tuple[OnsetErrors, Mask]:
     """Match the onsets of a step that N environments have taken with the notes that they play.
 
-    A note may be played in the step in which it is due, in the one before and in the one after:
-    nobody hears where steps end, and a note that is due at the beginning of one may well come a
-    millisecond early. An onset plays the nearest note of its key that has not been played. So each
-    note is played once, by the first onset near it: to strike a key again earns nothing. Returns
-    the errors, and (N, 3, K) which notes have been played before the next step.
+    A note may be played in the step in which it is due, in the one before and in the one after, as
+    a note that is due at the beginning of a step may well come a millisecond early. An onset plays
+    the nearest note of its key that has not been played. So each note is played once, by the first
+    onset near it: to strike a key again earns nothing. Returns the errors, and (N, 3, K) which
+    notes have been played before the next step.
 
     Args:
         due: the notes as they were upcoming before the step.
-        played: (N, 3, K) which of those in `STEPS` were played before it.
+        played: (N, 3, K) which of the notes in `STEPS` were played before it.
         state: the state after it.
         sounded: (N, K) the keys that sounded before it.
         keyboard: the keys, which say how loud they are.

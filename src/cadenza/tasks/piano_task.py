@@ -59,16 +59,16 @@ class PianoTask:
     """N hands-and-piano simulations with a score to play in each.
 
     Attributes:
-        spec: what is the same in all environments and episodes.
+        spec: the constants of the task.
         scene: the nominal scene, which simulations may differ from, see `DomainRandomization`.
         config: the task's configuration.
         simulation: the physics.
         goals: what each environment has to play and how far it has got.
-        state: what the simulation was like after the last step, or reset.
-        sensed: the same as the sensors have it, see `DomainRandomization`.
+        state: the state of the simulations after the last step or reset.
+        sensed: the same as sensors measure it, see `DomainRandomization`.
         key_state: (N, K) how far the keys are down, 0..1.
         sounding: (N, K) which keys sound.
-        wanted: (N, K) which keys should have sounded in the last step, none after reset.
+        goal_keys: (N, K) which keys should have sounded in the last step, none after reset.
         reward: (N,) of the last step, 0 after reset.
         tracks: the tracks of the songs that episodes draw from.
     """
@@ -119,7 +119,7 @@ class PianoTask:
         num_keys = self.scene.keyboard.num_keys
         self._played = np.zeros((num_envs, 0, num_keys + 1), bool)
         self._key_events: list[list[KeyEvent]] = [[] for _ in range(num_envs)]
-        self.wanted = np.zeros((num_envs, num_keys), bool)
+        self.goal_keys = np.zeros((num_envs, num_keys), bool)
         self._notes_played = no_notes_played(num_envs, num_keys)
         self._reward = Reward(self.config, self.scene, reward_terms)
         self._pedal, self._lost = np.zeros(num_envs), np.zeros(num_envs, bool)
@@ -151,7 +151,7 @@ class PianoTask:
     ) -> None:
         """Begin new episodes in environments, with a generator for each.
 
-        `starts` say what is fixed about each episode; nothing by default.
+        `starts` fix parts of the episodes; by default all is drawn.
         """
         starts = [EpisodeStart()] * len(env_ids) if starts is None else starts
         hand_qpos = np.tile(self.scene.hand_start, (len(env_ids), 1))
@@ -159,13 +159,13 @@ class PianoTask:
             self._begin(env, self._track(start.song, rng), start.step)
             if start.hand_qpos is not None:
                 hand_qpos[row] = start.hand_qpos
-            elif most := self.config.random_hand_position:
-                hand_qpos[row, self._offset_joints] = rng.uniform(-most, most)
+            elif limit := self.config.random_hand_position:
+                hand_qpos[row, self._offset_joints] = rng.uniform(-limit, limit)
         reset = list(env_ids)
         self._randomization.begin(env_ids, rngs, hand_qpos, [s.randomization for s in starts])
         self.simulation.reset(env_ids, hand_qpos)
         self._randomization.start_sensing(reset, self.simulation.state)
-        self.wanted[reset], self._lost[reset] = False, False
+        self.goal_keys[reset], self._lost[reset] = False, False
         self._pedal[reset], self.reward[reset] = 0.0, 0.0
         self._read_state()
 
@@ -190,7 +190,7 @@ class PianoTask:
         return goals.tracks[env], *deepcopy((steps, played, own)), self.simulation.save(env)
 
     def restore(self, env: int, saved: Any) -> None:
-        """Let environment `env` go on, to the bit, where another or itself was at `save`.
+        """Put environment `env`, to the bit, where itself or another was at `save`.
 
         Raises CadenzaError if it had another task or another scene.
         """
@@ -207,9 +207,9 @@ class PianoTask:
 
     @property
     def _per_env(self) -> list[Any]:
-        """Arrays and lists of what each environment has of its own, beside goals and physics."""
-        ours = [self._key_events, self.wanted, self._pedal, self._lost, self.reward]
-        return [*ours, self._notes_played, *self._randomization.per_env]
+        """Arrays and lists by environment, except for goals and physics."""
+        own = [self._key_events, self.goal_keys, self._pedal, self._lost, self.reward]
+        return [*own, self._notes_played, *self._randomization.per_env]
 
     def _track(self, song: int | GoalTrack | None, rng: np.random.Generator) -> GoalTrack:
         if isinstance(song, GoalTrack):
@@ -251,7 +251,7 @@ class PianoTask:
         pedal = arrived[moving, -1]
         self._lost[moving] |= ~np.isfinite(pedal)
         self._pedal[moving] = np.fmin(np.fmax(pedal, 0.0), 1.0)  # up where it is not a number
-        self.wanted[moving] = goal[moving, :-1]
+        self.goal_keys[moving] = goal[moving, :-1]
         within = self._env_ids[moving][(goals.steps_done < goals.num_steps)[moving]]
         here = within, row[within]
         self._played[*here, :-1] = self.sounding[within]
@@ -276,7 +276,7 @@ class PianoTask:
         return transition
 
     def _keep_key_events(self, env_ids: NDArray[np.intp], steps: NDArray[np.intp]) -> None:
-        """Keep what happened to keys in the `steps` (n,) that environments (n,) have taken."""
+        """Keep the events of keys in the `steps` (n,) that environments (n,) have taken."""
         onset, offset, speed = (values[env_ids] for values in self.state.key_events)
         here = np.nonzero(~(np.isnan(onset) & np.isnan(offset)))
         if not len(here[0]):
@@ -305,8 +305,8 @@ class PianoTask:
         With `TaskConfig.onset_goals`, goal_onset and goal_velocity (L + 2, K): when notes begin and
         how loud they are, in the last step, in the next one and in those after it, see
         `observed_onsets`; key_onset and key_velocity (K,): when keys began to sound in the last
-        step, and how loud. What was due and what was played then tell which notes may still be
-        played (`matched_onsets`), and so what the next step can earn.
+        step, and how loud. From both follows which notes may still be played (`matched_onsets`),
+        and so what the next step can earn.
         """
         goals, state = self.goals.upcoming, self.sensed
         due = self.goals.upcoming_onsets if self.config.onset_goals else None
@@ -315,10 +315,10 @@ class PianoTask:
         return self.spec.observation(*seen, state, due)
 
     def privileged(self) -> dict[str, Array]:
-        """Name -> (N, size) what only a simulation knows, for critics; without noise.
+        """Name -> (N, size) the true state, for critics.
 
         Joints [m, rad] and their velocities, key states, fingertips [m], forces of the actuators
-        [N, N m], normal forces on the fingertips [N], and what domain randomization has drawn.
+        [N, N m], normal forces on the fingertips [N], and the draws of domain randomization.
         """
         state, drawn = self.state, {n: v for n, v in self.drawn.items() if n != SEED}
         parts = {"joints": state.hand_qpos, "joint_velocities": state.hand_qvel}
@@ -386,7 +386,7 @@ class PianoTask:
 
 
 def _engine(config: SceneConfig) -> MakeSimulation:
-    """What makes the simulations of a scene with these options."""
+    """The class of simulations of a scene with these options."""
     apart = config.hands == "apart"
     if config.engine == "c":
         return HandsApart if apart else MujocoSimulation
@@ -400,19 +400,19 @@ def _engine(config: SceneConfig) -> MakeSimulation:
 def offset_joints(config: TaskConfig, scene: Scene) -> NDArray[np.intp]:
     """The joints that `TaskConfig.random_hand_position` moves.
 
-    Raises CadenzaError if the hands have none, or not as far.
+    Raises CadenzaError if the hands do not slide, or not as far.
     """
-    names, most = scene.hand_joint_names, config.random_hand_position
+    names, offset = scene.hand_joint_names, config.random_hand_position
     slides = scene.slide_joints
-    if most and not len(slides):
+    if offset and not len(slides):
         raise CadenzaError(
             "random_hand_position needs hands that slide along the keyboard, with tx among "
             "their forearm_dofs; choose such hands, or random_hand_position 0"
         )
     reach = min((abs(scene.model.joint(names[j]).range).min() for j in slides), default=0)
-    if most > reach:
+    if offset > reach:
         raise CadenzaError(
-            f"random_hand_position {most} m: the hands reach the keyboard's end after "
+            f"random_hand_position {offset} m: the hands reach the keyboard's end after "
             f"{reach:.2f} m; choose less"
         )
     return slides

@@ -1,4 +1,4 @@
-"""The options of the published RoboPianist, and what they are here."""
+"""The options of the published RoboPianist, and their equivalents here."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -31,7 +31,7 @@ _RENAMED: dict[str, Callable[[Any], dict[str, Any]]] = {
         "forearm_dofs": tuple(name.removeprefix("forearm_") for name in names)
     },
 }
-"""Published options with another name or other values here -> what they are for a value."""
+"""Published options with another name or other values here -> function to options of a value."""
 
 _WITHOUT_EFFECT = (
     "change_color_on_activation",
@@ -50,11 +50,11 @@ _ELSEWHERE = {
     "add_piano_actuators": "hands='none', a piano that plays itself",
     "reward_type": "reward_terms={'key_press': function}",
 }
-"""Published options that are said otherwise here."""
+"""Published options -> other ways to say the same here."""
 
 
 def hint(name: str, value: Any) -> str | None:
-    """What a published option with this value is here; None if RoboPianist has no such option."""
+    """The equivalent of a published option and its value, in words; None for unknown options."""
     if name in _WITHOUT_EFFECT:
         answer = "not needed"
     elif name in _ELSEWHERE:
@@ -68,9 +68,9 @@ def hint(name: str, value: Any) -> str | None:
 
 
 def translated(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of `TaskConfig` and `SceneConfig` of published options; others stay as they are.
+    """Fields of `TaskConfig` and `SceneConfig` for published options; other options stay.
 
-    Raises CadenzaError if an option is said otherwise here.
+    Raises CadenzaError if the equivalent of an option is none of these fields.
     """
     here: dict[str, Any] = {}
     for name, value in options.items():

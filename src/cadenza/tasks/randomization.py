@@ -48,7 +48,7 @@ class Randomization:
         num_envs: int,
         simulation: Simulation,
     ) -> None:
-        """Prepare draws for N environments of a simulation, which resets make.
+        """Prepare to draw at resets of N environments of a simulation.
 
         Raises CadenzaError if a range makes no sense.
         """
@@ -66,7 +66,7 @@ class Randomization:
         self._latency_steps = np.zeros(num_envs, np.intp)  # in physics steps
         if LATENCY in self.drawn:
             self._sent = np.zeros((num_envs, ranges.num_sent, len(scene.action_low)))
-        # Where each servo's motor and what it moves have been sent.
+        # Setpoints of each servo's motor and of its load.
         self._setpoint = np.zeros((num_envs, 2, len(ranges.low)))
         self._senses = Senses(ranges, num_envs)
 
@@ -128,7 +128,7 @@ class Randomization:
     # In each step
 
     def step(self, ctrl: Array, moving: slice | Ids) -> Array:
-        """Step the simulation with noisy and delayed actions, and return those at its end.
+        """Step the simulation with noisy and delayed actions; returns the actions at its end.
 
         Actions (N, A + 1) are in actuator units, the pedal last. Action k is sent at the beginning
         of control step k. With n physics steps a control step and a latency of d of them, it
@@ -152,7 +152,7 @@ class Randomization:
         return ctrl
 
     def _moved(self, ctrl: Array, moving: slice | Ids) -> Array:
-        """(N, A + 1) where servos are sent with their limits of speed, dead bands and backlash."""
+        """(N, A + 1) setpoints of servos with their speed limits, dead bands and backlash."""
         drawn = {name: self.drawn[name][moving] for name in SERVO_RANGES if name in self.drawn}
         setpoint = moved_setpoints(self._ranges, self._setpoint[moving], ctrl[moving, :-1], drawn)
         self._setpoint[moving], ctrl = setpoint, ctrl.copy()
@@ -160,7 +160,7 @@ class Randomization:
         return ctrl
 
     def _push(self, moving: slice | Ids) -> None:
-        """Push hands: gravity beside what is compensated, and now and then something else."""
+        """Push hands: by uncompensated gravity, and now and then by a random force."""
         ranges, scene = self._ranges, self._ranges.scene
         for env in self._env_ids[moving].tolist():
             force = np.zeros((scene.model.nbody, 3))
@@ -195,5 +195,5 @@ class Randomization:
         return noisy
 
     def sensed(self, state: State) -> State:
-        """The true `state` as sensors have it, which is the same if they are perfect."""
+        """The state as sensors measure it, see `Senses.sensed`."""
         return self._senses.sensed(state)

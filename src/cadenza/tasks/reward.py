@@ -291,10 +291,11 @@ class Reward:
         self._more_terms = _checked(more_terms or {})
 
     def transition(self, outcome: Outcome, lost: Mask, over: Mask) -> Transition:
-        """What a control step has led to, in environments that are `lost` (N,) or `over` (N,).
+        """The result of a control step.
 
-        Lost are those with an action that was not a number. Raises CadenzaError if a term of
-        the user's is not a finite number for each environment.
+        Actions of environments that are `lost` (N,) were not numbers; songs that are `over` (N,)
+        have ended. Raises CadenzaError if a user's term is not a finite number for each
+        environment.
         """
         config, state, keys = self._config, outcome.state, outcome.goal_keys
         press_term = graded_key_press if config.key_press == "graded" else key_press
@@ -334,10 +335,10 @@ class Reward:
 
 
 def _checked_values(name: str, values: Any, ctrl: Array) -> Array:
-    """What a term of the user's is worth in the N environments of the controls (N, A + 1).
+    """The values of a user's term in the N environments of the controls (N, A + 1).
 
-    Raises CadenzaError if these are not as many numbers, or not finite, which is not seen while
-    JAX compiles.
+    Raises CadenzaError if they are not N numbers or not finite; while JAX compiles, only their
+    shape is checked.
     """
     what, num_envs = f"reward term {quoted(name)} returned values", len(ctrl)
     demand = f"give a finite number for each environment, ({num_envs},)"
@@ -362,18 +363,18 @@ def _checked(terms: Mapping[str, RewardTerm]) -> dict[str, RewardTerm]:
     return dict(terms)
 
 
-def finite_array(what: str, given: Any, shape: tuple[int, ...], demand: str) -> Array:
-    """The numbers that a user has given, as an array of this shape.
+def finite_array(name: str, given: Any, shape: tuple[int, ...], demand: str) -> Array:
+    """The user's numbers `given` as an array of this shape.
 
-    Raises CadenzaError if they are not finite numbers of this shape; the message begins with `what`
+    Raises CadenzaError if they are not finite numbers of this shape; the message begins with `name`
     and ends with the `demand`.
     """
     try:
         values = np.asarray(given, float)
     except (TypeError, ValueError) as error:
-        raise CadenzaError(f"{what} {quoted(given)}: {demand}") from error
+        raise CadenzaError(f"{name} {quoted(given)}: {demand}") from error
     if values.shape != shape:
-        raise CadenzaError(f"{what} of shape {values.shape}: {demand}")
+        raise CadenzaError(f"{name} of shape {values.shape}: {demand}")
     if not np.isfinite(values).all():
-        raise CadenzaError(f"{what} not finite: {demand}")
+        raise CadenzaError(f"{name} not finite: {demand}")
     return values

@@ -15,8 +15,8 @@ Profile = Literal["gentle", "realistic", "harsh"]
 #     standard deviation of gravity of 0.4 m/s^2 along each axis, or 0.04 rad.
 # [K] Key dip: makers ask for 10 mm within 0.2 mm, and among them for 9.5 to 11 mm.
 # [M] Schultz, The Schultz MIDI Benchmarking Toolbox (2019): a few ms from a key to the computer.
-# [J] Judgement, for want of published figures: what is measured with a ruler and a level is off by
-#     a few millimetres and half a degree, buses and drivers take two to eight control steps of a
+# [J] Judgement, for want of published figures: rulers and levels are wrong by a few millimetres and
+#     half a degree, buses and drivers take two to eight control steps of a
 #     servo of 100 to 200 Hz, and zeros of joints are set by eye.
 GENTLE = DomainRandomization(
     mass=(0.9, 1.1),  # [O], a fifth of it

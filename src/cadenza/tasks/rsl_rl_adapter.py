@@ -48,9 +48,9 @@ class RslRlPiano(VecEnv):
         self, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Take a control step in every environment with actions (N, A)."""
-        given = actions.detach().clamp(-1.0, 1.0)
+        clipped = actions.detach().clamp(-1.0, 1.0)
         is_host = self.device.type == "cpu"
-        observation, reward, *ends, infos = self._envs.step(given.numpy() if is_host else given)
+        observation, reward, *ends, infos = self._envs.step(clipped.numpy() if is_host else clipped)
         terminated, truncated = map(torch.from_dlpack, ends)
         ended = terminated | truncated
         self.episode_length_buf = torch.where(ended, 0, self.episode_length_buf + 1)

@@ -138,8 +138,8 @@ def configure(
     Raises CadenzaError if no configuration has such an option, or there is no such setup.
 
     Args:
-        options: fields of `task` and `scene` to change; "setup" names a setup, whose options hold
-            unless they are given, too.
+        options: fields of `task` and `scene` to change; "setup" names a setup, whose options give
+            way to the others.
         task: the task's configuration, by default `TaskConfig()`.
         scene: the scene's configuration, by default `SceneConfig()`.
     """
@@ -151,9 +151,9 @@ def configure(
         if published := hint(unknown[0], options[unknown[0]]):
             raise CadenzaError(f"unknown option {unknown[0]}: {published}")
         close = get_close_matches(unknown[0], [*names, "setup", "song"], 1)
-        meant = f"did you mean {close[0]}? " if close else ""
+        guess = f"did you mean {close[0]}? " if close else ""
         raise CadenzaError(
-            f"unknown option {', '.join(unknown)}: {meant}choose from "
+            f"unknown option {', '.join(unknown)}: {guess}choose from "
             f"{', '.join(sorted({*names, 'setup'}))}"
         )
 

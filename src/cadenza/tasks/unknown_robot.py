@@ -1,4 +1,4 @@
-"""The environment of a robot that nobody knows: ten plays to learn it, and one that is scored."""
+"""The environment of an unknown robot: ten plays to learn it, and one that is scored."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,10 +18,10 @@ _OWN = "randomization", "privileged", "task", "pixels"
 class UnknownRobotEnv(PianoEnv):
     """A song, and a robot and a piano that are drawn from a profile and hidden.
 
-    Observations have what sensors give: joints, late, off and noisy, and which keys sound, when
-    they began to and how loud, late. `key_state` is 1 for a key that sounds, else 0. Rewards are 0
-    and `info` has "song" and "play" alone, until in the play after the tenth they are those of
-    `PianoEnv`, without what was drawn.
+    Observations come from sensors: joints are late, biased and noisy; which keys sound, when they
+    began to and how loud is observed late. `key_state` is 1 for a key that sounds, else 0. In the
+    first ten plays, rewards are 0 and `info` has only "song" and "play"; in the eleventh they are
+    those of `PianoEnv`, without the draws of the robot.
     """
 
     def __init__(
@@ -58,27 +58,27 @@ class UnknownRobotEnv(PianoEnv):
             raise CadenzaError(f"no option {sorted(options)[0]!r} of reset: all plays are alike")
         self._play += 1
         observation, info = super().reset(seed=seed)
-        return self._seen(observation), self._told(info)
+        return self._shown(observation), self._shown_info(info)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Take a control step, as `gymnasium.Env.step`."""
         observation, reward, terminated, truncated, info = super().step(action)
         scored = self._play > PLAYS
-        result = (terminated, truncated, self._told(info))
-        return self._seen(observation), reward if scored else 0.0, *result
+        result = (terminated, truncated, self._shown_info(info))
+        return self._shown(observation), reward if scored else 0.0, *result
 
     def get_state(self) -> Any:
         """Raise a CadenzaError: a real robot cannot go back to where it was."""
         raise CadenzaError("an unknown robot cannot go back to where it was: reset() it")
 
-    def _seen(self, observation: Observation) -> NDArray[np.float32]:
+    def _shown(self, observation: Observation) -> NDArray[np.float32]:
         """The observation with keys that sound or do not, instead of how far they are down."""
-        seen, task = np.array(observation), self.task
+        shown, task = np.array(observation), self.task
         depth = task.scene.keyboard.sounds_from * task.drawn["key_sounding"][0]
-        seen[task.spec.observation_layout["key_state"]] = task.sensed.key_qpos[0] >= depth
-        return seen
+        shown[task.spec.observation_layout["key_state"]] = task.sensed.key_qpos[0] >= depth
+        return shown
 
-    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _shown_info(self, info: dict[str, Any]) -> dict[str, Any]:
         scored = self._play > PLAYS
         shown = {n: v for n, v in info.items() if not n.startswith("randomization/")}
         return {**(shown if scored else {"song": info["song"]}), "play": self._play}

@@ -38,14 +38,14 @@ TOUCH_RANGE = 5.0  # greatest force that is observed [N]; a key is held down wit
 
 
 def observed_touch(force: NDArray[Any]) -> NDArray[Any]:
-    """What is observed of forces on fingertips (...) [N]: 0 to 1, from `TOUCH_RANGE` on."""
+    """The observation of forces on fingertips (...) [N]: 0 to 1, from `TOUCH_RANGE` on."""
     return force.__array_namespace__().minimum(force / TOUCH_RANGE, 1.0)
 
 
 def observed_onsets(
     time: NDArray[Any], velocity: NDArray[Any], control_timestep: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What is observed of onsets (...): times as fractions of a step, velocities of 127, or 0."""
+    """The observation of onsets (...): times as fractions of a step, velocities of 127, or 0."""
     xp = time.__array_namespace__()
     share = xp.clip(time / control_timestep, 0.0, 1.0)  # which rounding may leave
     return share.astype(xp.float32), (velocity / VELOCITIES[1]).astype(xp.float32)
@@ -68,7 +68,7 @@ def onset_parts(
 def observed_key_onsets(
     state: State, keyboard: Keyboard, control_timestep: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What is observed of keys that began to sound in the last step, (N, K): when, and how loud.
+    """The observation of keys that began to sound in the last step, (N, K): when, and how loud.
 
     See `observed_onsets`; 0 for the others.
     """
@@ -111,9 +111,9 @@ class TaskSpec:
     def observation(
         self, goal: Any, fingering: Any, keys: Any, pedal: Any, state: State, due: Any
     ) -> NDArray[np.float32]:
-        """(N, D) observations, see `PianoTask.observation`, of those that are asked for.
+        """(N, D) observations, see `PianoTask.observation`.
 
-        `keys` (N, K) are how far down they seem, `due` the notes around, if onsets are observed.
+        `keys` (N, K) are measured key states, `due` the notes around, if onsets are observed.
         The arrays are NumPy's or those of a library like it, which can compile this.
         """
         parts = {"goal": goal, "fingering": fingering, "key_state": keys, "pedal": pedal}
@@ -138,7 +138,7 @@ class TaskSpec:
 
 
 def task_spec(config: TaskConfig, scene: Scene) -> TaskSpec:
-    """The constants of a task in a scene; observations have the parts that the options ask for."""
+    """The constants of a task in a scene."""
     keys = scene.keyboard.num_keys
     sizes = {"goal": (config.lookahead_steps + 1) * (keys + 1)}
     if config.fingering != "off" and scene.sides:
@@ -168,7 +168,7 @@ def layout_of(sizes: Mapping[str, int]) -> dict[str, slice]:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """N environments before their next control step. Nobody writes to the arrays."""
+    """N environments before their next control step. The arrays must not be changed."""
 
     task: TaskSpec
     env_ids: Ids
@@ -178,12 +178,12 @@ class View:
     num_steps: Ids
     """(N,) control steps of the episode."""
     steps: Ids
-    """(N,) control steps since the song began, also those before the episode began within it."""
+    """(N,) control steps since the beginning of the song."""
     playing: Mask
     """(N,) whether each takes the next step; the actions of the others are ignored."""
     state: State
-    """Positions and speeds of hands and keys, fingertips, forces, all (N, ...), as sensors have
-    them; the true ones without domain randomization of observations."""
+    """Positions and speeds of hands and keys, fingertips, forces, all (N, ...), as sensors measure
+    them."""
     observation: NDArray[np.float32]
     """(N, D) observations, with noise if there is any, see `TaskSpec.observation_layout`."""
     fingers: NDArray[np.int8]

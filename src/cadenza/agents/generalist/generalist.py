@@ -70,10 +70,7 @@ class Generalist(PlannerPerEnv["Player | EarlyPlanner[Player]"]):
         rehearsals = self._rehearsals(scene)
         weights = None if rehearsals else self._weights(scene)
         plans = song_plans(
-            track.with_found_fingers(),
-            view.state.hand_qpos[0],
-            self.progress,
-            strikes=True,
+            track.with_found_fingers(), view.state.hand_qpos[0], self.progress, strikes=True
         )
 
         def hands_for(plan: SongPlan) -> Sequence[PlanPlayer]:

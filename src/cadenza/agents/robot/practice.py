@@ -18,15 +18,7 @@ from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.robot.closed_loop import ClosedLoop
 from cadenza.agents.robot.corrections import NoteCorrections, PressCorrections
-from cadenza.agents.robot.protocol import (
-    Act,
-    Play,
-    Robot,
-    in_turn,
-    notes_heard,
-    play,
-    scores_heard,
-)
+from cadenza.agents.robot.protocol import Act, Play, Robot, in_turn, notes_heard, play, scores_heard
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.episode import Episode
 from cadenza.music.score import Note

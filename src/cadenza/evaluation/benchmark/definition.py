@@ -178,7 +178,7 @@ def set_up_song(song: Song) -> Iterator[Setup]:
 
 
 def check_frozen(song: Song, setup: Setup) -> str:
-    """Return the hash of a song as the task plays it.
+    """The hash of a song as the task plays it.
 
     Raises CadenzaError if the song or the scene differs from that of version 1.
     """
@@ -227,7 +227,7 @@ def scene_digest(scene: Scene) -> str:
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an array (...) to `_DIGITS` significant digits, with one zero."""
+    """An array (...) to `_DIGITS` significant digits, with one zero."""
     with np.errstate(divide="ignore"):
         size = np.floor(np.log10(np.abs(values)))
     scale = 10.0 ** np.clip(_DIGITS - 1 - size, -300, 300)

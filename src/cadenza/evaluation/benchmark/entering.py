@@ -27,12 +27,7 @@ from cadenza.evaluation.benchmark.entry import (
 from cadenza.evaluation.benchmark.verification import PlayedAgain, verify
 from cadenza.evaluation.results import Result, read_results
 from cadenza.evaluation.run import versions
-from cadenza.files import (
-    checked,
-    new_folder,
-    write_json,
-    write_tensors,
-)
+from cadenza.files import checked, new_folder, write_json, write_tensors
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.imported import Progress, silent
 from cadenza.scene.config import SceneConfig
@@ -111,7 +106,7 @@ def enter(
 
 
 def _results(bench: Path, songs: set[str], agent: str | None) -> list[Result]:
-    """Return the runs of one agent on these songs; raises CadenzaError if they do not fit."""
+    """The runs of one agent on these songs; raises CadenzaError if they do not fit."""
     results = [result for result in read_results(bench).results if result.song.name in songs]
     agents = sorted({result.agent for result in results})
     if not agents:

@@ -123,20 +123,20 @@ def means(played: PlayedAgain) -> Row:
 
 
 def _mean_of_known(values: NDArray[np.float64]) -> float:
-    """Return the mean of the values (...) that are not NaN; NaN if all are."""
+    """The mean of the values (...) that are not NaN; NaN if all are."""
     finite = values[~np.isnan(values)]
     return float(finite.mean()) if len(finite) else math.nan
 
 
 def _as_text(value: str) -> str:
-    """Return a text that spreadsheets neither take for a formula nor split at `;`."""
+    """A text that spreadsheets neither take for a formula nor split at `;`."""
     value = value.replace(";", ",")
     begins_a_formula = normalize("NFKC", value).startswith(("=", "+", "-", "@"))  # of any width
     return f"'{value}" if begins_a_formula else value
 
 
 def _markdown(rows: Sequence[Row]) -> str:
-    """Return a table for each set and track; text of cells is escaped."""
+    """A table for each set and track; text of cells is escaped."""
     lines: list[str] = []
     for (songs, track), section in groupby(rows, lambda row: (row["songs"], row["track"])):
         title = f"{songs}, {track}" if songs else "not read"

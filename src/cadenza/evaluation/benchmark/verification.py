@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.benchmark.definition import (
-    DEPLOYMENT,
-    METRICS,
-    check_frozen,
-    set_up_song,
-)
+from cadenza.evaluation.benchmark.definition import DEPLOYMENT, METRICS, check_frozen, set_up_song
 from cadenza.evaluation.benchmark.deployment import played_on_robot
 from cadenza.evaluation.benchmark.entry import (
     BenchmarkEntry,
@@ -28,11 +23,7 @@ from cadenza.evaluation.benchmark.entry import (
     read_entry,
     runs_by_song,
 )
-from cadenza.files import (
-    FLOATS,
-    ArrayOf,
-    read_tensors,
-)
+from cadenza.files import FLOATS, ArrayOf, read_tensors
 from cadenza.music.libraries.imported import Progress, silent
 from cadenza.performing.setup import Setup
 
@@ -100,7 +91,7 @@ def _actions(path: Path, setup: Setup) -> NDArray[np.float64]:
 
 
 def _played(actions: NDArray[np.float64], seed: int, setup: Setup, run_name: str) -> Metrics:
-    """Return the metrics of actions (T, A) of a whole song."""
+    """The metrics of actions (T, A) of a whole song."""
     metrics = play_episode(setup.task, Playback(actions), seed).metrics
     if metrics["steps"] != len(actions):
         raise CadenzaError(

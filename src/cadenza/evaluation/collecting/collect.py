@@ -90,7 +90,7 @@ class Demonstrator(NamedTuple):
 def episodes(
     library: Library, demonstrator: Demonstrator, numbers: Sequence[int], least_f1: float
 ) -> list[EpisodeJob]:
-    """Return all episodes to be collected: the first of every song, then the second and so on."""
+    """All episodes to be collected: the first of every song, then the second and so on."""
     songs = songs_of(library)
     student = demonstrator.variation.student
     policy = [Path(student) / POLICY_FILE] if student is not None and is_folder(student) else []
@@ -113,7 +113,7 @@ def episodes(
 
 
 def is_complete(job: EpisodeJob, folder: Path) -> bool:
-    """Return whether an episode is recorded, or was not good enough."""
+    """Whether an episode is recorded, or was not good enough."""
     if not (folder / RESULT).exists():
         return False
     facts = read_facts(folder)
@@ -197,14 +197,14 @@ def _is_good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
 
 
 def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
-    """Return the seed of an episode and a generator; both depend on its song and number."""
+    """The seed of an episode and a generator; both depend on its song and number."""
     content = hashlib.sha256(f"{spec.song_digest} {spec.seed}".encode()).digest()
     seed, other = (int.from_bytes(content[at : at + 8], "big") for at in (0, 8))
     return seed, np.random.default_rng(other)
 
 
 def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> SongPlan:
-    """Return the plan of the agent, or one for the same song and start.
+    """The plan of the agent, or one for the same song and start.
 
     Learners correct plans without timed strikes, which the planner's plans have. If the planner
     plays early, its plan has fewer steps than the episode.
@@ -220,13 +220,13 @@ def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> Son
 
 
 def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
-    """Return the score with the fingers that the task rewarded, or else with the plan's."""
+    """The score with the fingers that the task rewarded, or else with the plan's."""
     (track,) = setup.task.goals.tracks
     return plan.track.score if track.dropped is None else track.score
 
 
 def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
-    """Return the task of a replay.
+    """The task of a replay.
 
     Its seed determines the draws of `DomainRandomization`.
     """
@@ -238,7 +238,7 @@ def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
 def _arrays(
     result: EpisodeResult, perturbed: PerturbedAgent, last: View, plan: SongPlan
 ) -> dict[str, Array]:
-    """Return the arrays of a recorded episode, see `cadenza.demonstrations.recorded_episode`."""
+    """The arrays of a recorded episode, see `cadenza.demonstrations.recorded_episode`."""
     episode, start, scene = result.episode, perturbed.start, plan.scene
     assert start is not None
     count = episode.num_steps

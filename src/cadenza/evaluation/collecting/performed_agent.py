@@ -92,5 +92,5 @@ class PerformedAgent(PlannerPerEnv[_PerformedEpisode]):
 
 
 def _undisturbed(task: TaskConfig) -> TaskConfig:
-    """Return the task for a drawn score, without other randomness."""
+    """The task for a drawn score, without other randomness."""
     return replace(as_drawn(task), randomization=DomainRandomization())

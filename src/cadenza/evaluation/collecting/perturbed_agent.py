@@ -104,7 +104,7 @@ class PerturbedAgent(Agent):
             self._student.close()
 
     def _agent_or_student(self, chosen: Array, view: View) -> Array:
-        """Return the action (A + 1,) of the agent, or of the student where it is its turn."""
+        """The action (A + 1,) of the agent, or of the student where it is its turn."""
         if self._student is None:
             return chosen
         if self._rng.random() < view.task.config.control_timestep / _TURN:

@@ -46,7 +46,7 @@ class Variation:
 
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """Return an excerpt of `seconds`, and its beginning in the score [s].
+    """An excerpt of `seconds`, and its beginning in the score [s].
 
     It begins at a note: `where` is 0 for the first and 1 for the last possible one.
     """
@@ -58,12 +58,12 @@ def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
 
 
 def collecting_task() -> TaskConfig:
-    """Return the task in which demonstrations are collected, unless another one is chosen."""
+    """The task in which demonstrations are collected, unless another one is chosen."""
     return TaskConfig(random_hand_position=0.05)  # [m] either way, about two white keys
 
 
 def as_drawn(task: TaskConfig) -> TaskConfig:
-    """Return the task for a score that has been trimmed, stretched and transposed already."""
+    """The task for a score that has been trimmed, stretched and transposed already."""
     return replace(
         task,
         trim_silence=False,

@@ -24,12 +24,7 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.agents.planner.search.networks.inputs import InputLayout
-from cadenza.agents.planner.search.networks.weights import (
-    CONSTANTS,
-    NETWORKS,
-    Network,
-    Weights,
-)
+from cadenza.agents.planner.search.networks.weights import CONSTANTS, NETWORKS, Network, Weights
 from cadenza.demonstrations.dataset import Dataset, dataset_folder, kept
 from cadenza.demonstrations.recorded_episode import RecordedEpisode, played_actions
 from cadenza.errors import CadenzaError

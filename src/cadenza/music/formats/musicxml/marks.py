@@ -270,10 +270,7 @@ class TempoMarks:
     """
 
     def __init__(
-        self,
-        parts: Sequence[Sequence[Placed]],
-        begins: Sequence[Fraction],
-        counts: Counter[str],
+        self, parts: Sequence[Sequence[Placed]], begins: Sequence[Fraction], counts: Counter[str]
     ) -> None:
         self.marks: list[TempoMark] = []
         self.swings: list[Swing] = []
