@@ -1,6 +1,6 @@
 """The command line: a module for each command, or for two that belong together.
 
-What is heavy to import is imported by the function that needs it, so that --help is quick.
+Functions import heavy modules when they need them, so that --help is quick.
 """
 
 import os
@@ -76,16 +76,16 @@ GROUPS = {
     "generalist": "Train networks of the agent generalist.",
     "hand": "Bring a hand of your own.",
 }
-"""First word of the names of several commands -> what these are for."""
+"""First word of several commands' names -> their purpose."""
 _DEFAULTS: dict[type, Callable[[Chosen], Any]] = {
     train.Train: train.default,
     arrange.Arrange: arrange.default,
 }
-"""Commands whose options have other defaults with `--setup` or `--learner` -> those."""
+"""Commands whose defaults depend on `--setup` or `--learner` -> function to their defaults."""
 _ABOUT = """Two simulated robot hands play the piano from any MIDI file.
 
-Run "cadenza COMMAND --help" for the options of a command, of which those that most people need come
-first, and "cadenza --version" for the version."""
+Run "cadenza COMMAND --help" for the options of a command, the most common ones first, and
+"cadenza --version" for the version."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             _run(sys.argv[1:] if arguments is None else list(arguments))
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # whoever read the output has left, as `head` does
+    except BrokenPipeError:  # the reader of the output has left, as `head` does
         _exit(1)
     except Exception as error:
         if not is_for_users(error):
@@ -119,28 +119,28 @@ def _run(words: list[str]) -> None:
         print(f"cadenza {version('cadenza')}")
         return
     count = 2 if words and words[0] in GROUPS else 1
-    name, others = " ".join(words[:count]), words[count:]
+    name, rest = " ".join(words[:count]), words[count:]
     if name not in COMMANDS:
         print_commands(_kinds(), GROUPS, "cadenza", _ABOUT, words)
     kind, run = COMMANDS[name]
     if any(":" in word for word in words) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
     prog = f"cadenza {name}"
-    chosen = choose(prog, others)
+    chosen = choose(prog, rest)
     _import_parts(chosen)
     read: list[Callable[..., Any]] = []
     if issubclass(kind, Options):
-        read = [reader(kind, prog, others, chosen)]
+        read = [reader(kind, prog, rest, chosen)]
         command = read[0]()
     else:
         default = _DEFAULTS.get(kind, lambda _: None)(chosen)
-        command = parse(kind, prog, others, default)
+        command = parse(kind, prog, rest, default)
     with warnings_in_a_line(), quietly(getattr(command, "quiet", False)):
         run(command, *read)
 
 
 def _import_parts(chosen: Chosen) -> None:
-    """Import the hand, the keyboard and the learner of a command line; no file does.
+    """Import the hand, the keyboard and the learner that a command line names.
 
     Raises CadenzaError if there is no such thing.
     """
@@ -165,7 +165,7 @@ def _kinds() -> dict[str, type]:
 
 
 def _exit(status: int, message: str = "") -> NoReturn:
-    """Print why, and exit; drop output that cannot be written, of which Python complains."""
+    """Print a message, and exit; drop output that cannot be written."""
     with suppress(OSError):
         if message:
             print(f"cadenza: {on_one_line(message)}", file=sys.stderr)

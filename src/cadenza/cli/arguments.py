@@ -1,7 +1,7 @@
-"""Reads a command line with tyro: options are fields of dataclasses, and their docstrings the help.
+"""The command line, read by tyro: options are fields of dataclasses, their docstrings the help.
 
-tyro is called twice. The first call finds the options that decide which others there are, and what
-these begin with (`choose`); the second reads the whole command (`parse`).
+tyro is called twice. `choose` finds the options on which other options and their defaults depend;
+`parse` reads the whole command.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -44,7 +44,7 @@ Verbose = Annotated[
     tyro.conf.FlagCreatePairsOff[bool],
     tyro.conf.arg(help="Print all figures, too: metrics, rewards, and why notes were missed."),
 ]
-"""The option of commands that say how well a song was played."""
+"""The option of commands that print a verdict."""
 
 SoundFont = Annotated[
     Path | None, tyro.conf.arg(help="A sound font (SF2) in place of the built-in piano.")
@@ -52,14 +52,14 @@ SoundFont = Annotated[
 """The option of commands that make sound."""
 
 SETTINGS = (tyro.conf.DisallowNone,)
-"""What holds for all options: what is None by default is left out to be None."""
+"""Settings of tyro: an option whose default is None cannot be given None."""
 
 HELP_ALL = "--help-all"  # the option that lists what `--help` leaves out
 _RARELY_SET = (
     *(TaskConfig, SceneConfig, DomainRandomization, ExpressionRules),
     *(PlannerConfig, TrainingConfig, DroQConfig),
 )
-"""Configurations whose options `--help` leaves out, but for a few."""
+"""Configurations whose options `--help` leaves out, except `_OFTEN_SET`."""
 _OFTEN_SET = (
     *("hand", "hands", "keyboard", "stretch", "transpose", "initial_buffer_time"),
     *("num_steps", "residual", "num_envs", "seed"),
@@ -69,7 +69,7 @@ _FLAT_IN_OTHERS = "learner", "task", "scene"  # fields of the configurations of 
 
 @dataclass(frozen=True)
 class Chosen:
-    """The options that decide which others there are, and what these begin with."""
+    """The options on which other options and their defaults depend."""
 
     agent: str | None = None
     agents: tuple[str, ...] = ()
@@ -85,7 +85,7 @@ class Chosen:
 
 
 def choose(prog: str, words: Sequence[str]) -> Chosen:
-    """Find in the `words` after a command, as "cadenza play", what its options depend on."""
+    """The options among the `words` after `prog` on which others depend."""
     chosen, _ = tyro.cli(
         Chosen, prog=prog, args=words, add_help=False, return_unknown_args=True, config=SETTINGS
     )
@@ -97,7 +97,7 @@ def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = No
 
     `words` stand after `prog`, as "cadenza play"; options begin with those of `default`.
     """
-    about, begun = getdoc(kind) or "", tyro.MISSING_NONPROP if default is None else default
+    about = getdoc(kind) or ""
     if any(field.name in ("scene", "training") for field in fields(cast(Any, kind))):
         about += f"\n\nFor the options of task, scene, agent and training: {prog} {HELP_ALL}"
     return tyro.cli(
@@ -105,7 +105,7 @@ def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = No
         prog=prog,
         description=about,
         args=["--help" if word == HELP_ALL else word for word in words],
-        default=cast(Any, begun),
+        default=cast(Any, tyro.MISSING_NONPROP if default is None else default),
         config=SETTINGS,
         registry=_registry(
             is_short_help=(asks := "--help" in words or "-h" in words),
@@ -115,13 +115,12 @@ def parse(kind: type[T], prog: str, words: Sequence[str], default: T | None = No
 
 
 def _registry(is_short_help: bool = False, is_help: bool = True) -> ConstructorRegistry:
-    """How tyro makes options of a dataclass: as it does, but for four things.
+    """The rules by which tyro makes options of a dataclass, which differ from its own in four ways.
 
     Configurations of learning have a task, a scene and a learner, whose options are flat. The
-    docstring of a field becomes a paragraph, as tyro does with that of a class. Where nothing is
-    the default, the docstring says what that means, and help not that the default is None. Short
-    help has no options that are rarely set; tyro does not read what help does not list. What
-    stands above a group of options is left out where no help is asked for, as it takes long.
+    docstring of a field becomes a paragraph. Help leaves out a default of None, which docstrings
+    explain. Short help has no options that are rarely set, as tyro cannot read options that help
+    does not list. Headings of groups, which take long, are left out except for help.
     """
     registry, asking = ConstructorRegistry(), False
 
@@ -167,9 +166,9 @@ def print_commands(
     about: str,
     words: Sequence[str],
 ) -> NoReturn:
-    """Print what commands there are, what completes them, or why `words` are none, and exit.
+    """Print the list of commands, a shell's completion, or why `words` are no command, and exit.
 
-    Names of commands may begin with one of `groups` (name -> what its commands are for).
+    Names of commands may begin with one of `groups` (name -> purpose).
     """
     several = dict(commands)
     for group, purpose in groups.items():

@@ -58,18 +58,19 @@ def run(command: Arrange) -> None:
     scene = build_scene(command.scene)
     if any(note.pitch not in scene.keyboard.pitches for note in song.score.notes):
         song = replace(song, arrangement=replace(song.arrangement, arrange="always"))
-    how = TaskConfig(
+    task = TaskConfig(
         fingering=command.fingering, hands_as_written=command.hands_as_written, trim_silence=False
     )
-    track, made = arranged_for(song.written_for(command.scene.hands), scene, how)
+    track, arrangement = arranged_for(song.written_for(command.scene.hands), scene, task)
     score = track.fingered().score
     write_sheet(score, path)
-    if made:
-        reached, what = made.arranged.grade, str(made.arranged.fidelity)
+    if arrangement:
+        difficulty, result = arrangement.arranged.grade, str(arrangement.arranged.fidelity)
     else:
-        reached, what = grade(score), "as written, which hands can play"
+        difficulty, result = grade(score), "as written, which hands can play"
         if track.dropped:
-            what = f"as written, {counted(len(track.dropped), 'note')} of it out of reach"
-    hands = {note.finger.hand for note in score.notes if note.finger}
-    whose = "both hands" if len(hands) > 1 else "".join(f"the {SIDES[i]} hand" for i in hands)
-    print(f"{path}: {counted(len(score.notes), 'note')} for {whose}, grade {reached:.1f}: {what}")
+            result = f"as written, {counted(len(track.dropped), 'note')} of it out of reach"
+    sides = {note.finger.hand for note in score.notes if note.finger}
+    hands = "both hands" if len(sides) > 1 else "".join(f"the {SIDES[i]} hand" for i in sides)
+    notes = counted(len(score.notes), "note")
+    print(f"{path}: {notes} for {hands}, grade {difficulty:.1f}: {result}")

@@ -109,15 +109,12 @@ def _seeds(parts: Sequence[str]) -> list[int]:
     return list(seeds)
 
 
-# Who plays
-
-
 def _contenders(
     command: Bench, read: Read[Bench], agents: Sequence[str]
 ) -> Callable[[str], list[Contender]]:
-    """A function from a song to who plays it, with the options of the command.
+    """A function from a song to its contenders, with the options of the command.
 
-    These go over the options that a policy was trained with.
+    Given options override the options that a policy was trained with.
     """
     fixed = {name: _contender(command, read, name) for name in agents if name != PRETRAINED}
 
@@ -179,10 +176,10 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
     }
     if agent not in presets:
         raise CadenzaError(f"no agent {quoted(agent)}: choose from {', '.join(presets)}")
-    begun = preset(*presets[agent])
-    own = read(task=begun.task, scene=begun.scene)
-    steps = begun.num_steps if command.num_steps is None else command.num_steps
-    config = replace(begun, task=own.task, scene=own.scene, num_steps=steps)
+    training = preset(*presets[agent])
+    own = read(task=training.task, scene=training.scene)
+    steps = training.num_steps if command.num_steps is None else command.num_steps
+    config = replace(training, task=own.task, scene=own.scene, num_steps=steps)
     check(config)
     return Contender(agent, own.task, own.scene, config)
 

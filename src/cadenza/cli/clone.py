@@ -49,10 +49,10 @@ def clone(command: Clone) -> None:
 
 
 def train_until_stopped(run: CheckpointedRun, stage: str, unit: str, metric: str) -> None:
-    """Train until all updates are done, or until a signal, which saves a checkpoint first.
+    """Train until all updates are done, or until a signal, after a checkpoint.
 
     The progress counts `unit` (plural), and shows a `metric` of the run. Raises KeyboardInterrupt
-    if there was a signal.
+    after a signal.
     """
     first, began = run.step, time.perf_counter()
     shown = progress(stage, unit, SECONDS_BETWEEN_LINES_OF_TRAINING)

@@ -1,4 +1,4 @@
-"""`cadenza dataset`: collects demonstrations to learn from, and says what there is."""
+"""`cadenza dataset`: demonstrations to learn from."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _check(command: Collect) -> None:
         raise CadenzaError(
             "--wrong-press-termination: demonstrations last as long as their songs; leave it out"
         )
-    # Options of task and scene that do not go together are an error once, not of each episode.
+    # Conflicting options of task and scene are one error here, instead of an error per episode.
     PianoTask([Score((Note(0.0, 0.1, 60),))], command.task, command.scene).close()
 
 
@@ -108,18 +108,18 @@ def _demonstrator(command: Collect) -> Demonstrator:
     configs = {name: command.configs.get(name) for name in playing}
     for name, config in configs.items():
         make_agent(name, config)  # an unknown agent is an error before any plays
-    how = command.task, command.scene, command.arrangement, command.variation
-    return Demonstrator(agent, configs[agent], *how, configs.get(student or ""))
+    options = command.task, command.scene, command.arrangement, command.variation
+    return Demonstrator(agent, configs[agent], *options, configs.get(student or ""))
 
 
 def _outcome(folder: Path, _job: BenchJob) -> str:
     """A line on an episode that was recorded."""
     from cadenza.demonstrations.recorded_episode import read_facts
 
-    made = read_facts(folder)
-    left_out = "" if made.kept else ", not kept"
-    scores = f"F1 {made.f1:.3f}, note onset F1 {made.note_onset_f1:.3f}"
-    return f"{scores}, {counted(made.num_steps, 'step')}{left_out}"
+    facts = read_facts(folder)
+    remark = "" if facts.kept else ", not kept"
+    scores = f"F1 {facts.f1:.3f}, note onset F1 {facts.note_onset_f1:.3f}"
+    return f"{scores}, {counted(facts.num_steps, 'step')}{remark}"
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,7 @@ class DatasetPlay(RecordedParts):
     folder: tyro.conf.Positional[Path]
     """Folder of the demonstrations."""
     number: Annotated[tyro.conf.Positional[int], tyro.conf.arg(metavar="N")]
-    """Number of the episode, from 0. Those that were kept count, in the order of their folders'
-    names."""
+    """Number of the episode, from 0, among kept ones, in the order of their folders' names."""
     output: Output[Path | None] = None
     """Folder for the results; played/FOLDER/N by default."""
     video: tyro.conf.FlagCreatePairsOff[bool] = False

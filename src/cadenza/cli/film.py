@@ -15,14 +15,14 @@ class Film:
     Example: cadenza film played/OdeToJoy/planner --size 1080 1920 --seconds 20
 
     The film is the page of the performance, drawn by Chrome, Chromium or Edge: 60 pictures a
-    second with a graphics card, 30 without, each of which then takes half a second of a core.
+    second with a graphics card; without one 30, at half a second of a core each.
     """
 
     folder: tyro.conf.Positional[Path]
     """The folder of a performance."""
     output: Output[Path | None] = None
-    """The file; its ending says what it is: .mp4 a film, .wav, .flac or .mp3 the sound alone.
-    video.mp4 in the folder by default."""
+    """The file: a film by the ending .mp4, or the sound alone by .wav, .flac or .mp3; video.mp4 in
+    the folder by default."""
     start: float = 0.0
     """Where in the performance the film begins [s]."""
     seconds: float | None = None

@@ -9,7 +9,7 @@ import tyro
 class MeasureHand:
     """Measure a hand, which takes some minutes: how it sits over the keys, how far it reaches.
 
-    What is found of a TOML file is written beside it; the `Reach` of another hand is printed.
+    Measurements of a TOML file are written beside it; the `Reach` of another hand is printed.
     Example: cadenza hand measure leap.toml
     """
 

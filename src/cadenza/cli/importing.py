@@ -1,4 +1,4 @@
-"""`cadenza import`: makes a song library of files."""
+"""`cadenza import`: a song library made of files."""
 
 import warnings
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""`cadenza info`: what a song is like, and what there is to play it with."""
+"""`cadenza info`: facts about a song, or about this installation."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _song_facts(score: Score) -> dict[str, Any]:
 
 
 def _most_at_once(score: Score) -> int:
-    """The most keys that are down at a time, of which one may go up when another goes down."""
+    """The largest number of keys that are down at a time; one may go up when another goes down."""
     moves = [(time, down) for n in score.notes for time, down in ((n.start, 1), (n.end, -1))]
     return max(accumulate(down for _, down in sorted(moves)))
 

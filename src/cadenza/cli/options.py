@@ -1,4 +1,4 @@
-"""Options that several commands share: who plays what, in which task and scene."""
+"""Options that several commands share: agents, songs, task and scene."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound="Options")
 Read = Callable[..., Command]
-"""Reads the command line, with these defaults for fields of the command, by name."""
+"""A function that reads the command line, with other defaults for fields of the command."""
 
-TRAIN = "train:"  # what the name of an agent begins with that is trained first
+TRAIN = "train:"  # prefix of the names of agents that are trained first
 
 AGENTS_HELP = (
     'Who plays: a name from "cadenza info", the folder of a policy, a training run or practice, '
@@ -73,13 +73,12 @@ class RecordedParts:
 def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen) -> Read[Command]:
     """A function that reads the command line over defaults and the chosen setup.
 
-    The command has the options of those agents that play; those of others are unknown. Raises
-    CadenzaError if there is no such setup or agent, or the options of an agent are called like
-    something else.
+    The command has the options of agents that play; options of other agents are unknown. Raises
+    CadenzaError if there is no such setup or agent, or the options of an agent have a taken name.
     """
     setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
     usual: dict[str, Any] = {each.name: each.default for each in fields(kind)}
-    own: dict[str, Any] = {}  # who plays by the setup
+    own: dict[str, Any] = {}  # the setup's agent
     playing: Sequence[str] = (PLANNER,)
     if "agents" in usual:
         own = {} if setup.agent is None else {"agents": (setup.agent,)}
@@ -95,8 +94,8 @@ def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen)
     }
 
     def read(**defaults: Any) -> Command:
-        begun = setup.applied_to(replace(kind(**required), **defaults))
-        return parse(kind, prog, words, replace(begun, **own))
+        default = setup.applied_to(replace(kind(**required), **defaults))
+        return parse(kind, prog, words, replace(default, **own))
 
     return read
 
@@ -104,13 +103,13 @@ def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen)
 def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]:
     """Return `kind` with a field for the options of each of the agents.
 
-    Raises CadenzaError if there is no such agent, or its options are called like something else.
+    Raises CadenzaError if there is no such agent, or its options have a name that is taken.
     """
     names: dict[str, str] = {}
     taken = {*dir(kind), *(each.name for each in fields(kind))}
     for agent in dict.fromkeys(agents):
         if (Path(agent) / PRACTISED).is_file():
-            agent = PLANNER  # which searches where the hands are pushed
+            agent = PLANNER  # whose options hold for practised plans, too
         if agent.startswith(TRAIN) or is_folder(agent) or agent_options(agent) is None:
             continue
         name = options_name(agent)
@@ -144,7 +143,7 @@ def split_agents(words: Sequence[str]) -> list[str]:
 
 @contextmanager
 def setting_up(command: Options, song: str | None, player: Player, seed: int) -> Iterator[Setup]:
-    """`set_up` with the options of a command; shows how far the search for fingers is."""
+    """`set_up` with the options of a command; shows the progress of the search for fingers."""
     from cadenza.performing.setup import set_up
 
     with ExitStack() as kept:

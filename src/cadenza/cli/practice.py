@@ -1,4 +1,4 @@
-"""`cadenza practice`: the hands practise a song, and keep how they play it best."""
+"""`cadenza practice`: practice of a song, of which the best plan is kept."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
 
-_LATE = 0.999  # of a step, so that a bar that begins within it has begun
+_LATE = 0.999  # share of a step, late enough for a bar that begins within it
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class PracticeCommand(Options):
     minutes: float | None = None
     """Practise for this long instead [min]."""
     robot: str | None = None
-    """Practise with a robot that nobody knows, in ten plays: the seed of a simulated one, or
-    module:Name of a driver."""
+    """Practise with an unknown robot, in ten plays: the seed of a simulated one, or module:Name of
+    a driver."""
     profile: Profile = "realistic"
-    """What a simulated robot is drawn from, or how late another is about."""
+    """Profile from which a simulated robot is drawn, or whose delays another robot has."""
     seed: int = 0
     """Random seed."""
     video: bool = False
@@ -98,7 +98,7 @@ def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
 
 
 def _with_robot(command: PracticeCommand, robot: str) -> None:
-    """Practise with a robot, print how each play was heard, and keep them all."""
+    """Practise with a robot, print the scores of each play, and keep all plays."""
     from cadenza.performing.setup import find_player
     from cadenza.performing.with_robot import practise, save
 
@@ -110,17 +110,17 @@ def _with_robot(command: PracticeCommand, robot: str) -> None:
         check_writable(folder)
         for plays, actions in practise(setup, robot, command.profile):
             save(folder, plays, actions)
-            print(f"play {len(plays.heard)}: {_scores((0.0, *plays.heard[-1]))}", flush=True)
-        print(f"scored: {_scores((0.0, plays.metrics['f1'], plays.metrics['note_onset_f1']))}")
+            print(f"play {len(plays.heard)}: {_scores(*plays.heard[-1])}", flush=True)
+        print(f"scored: {_scores(plays.metrics['f1'], plays.metrics['note_onset_f1'])}")
         print(f"wrote {folder}")
 
 
 def _resumed(
     folder: Path, command: PracticeCommand, read: Read[PracticeCommand]
 ) -> PracticeCommand:
-    """The command with the song and the options of what was practised in `folder`.
+    """The command with the song and the options of the practice in `folder`.
 
-    Raises CadenzaError if the folder does not say how it was practised, or that cannot be read.
+    Raises CadenzaError if the folder has no settings of practice, or they cannot be read.
     """
     from cadenza.agents.planner.config import PlannerConfig
     from cadenza.performing.setup import PRACTICE_SETTINGS
@@ -152,10 +152,10 @@ def _check(command: PracticeCommand) -> None:
         raise CadenzaError(
             "--robot: plays a song ten times; leave out --resume, --minutes, --video"
         )
-    for name, most in ("effort", MAX_EFFORT), ("minutes", 1e6):
+    for name, limit in ("effort", MAX_EFFORT), ("minutes", 1e6):
         value = getattr(command, name)
-        if value is not None and not 0 <= value <= most:
-            raise CadenzaError(f"--{name} {value}: choose 0 to {most:.0f}")
+        if value is not None and not 0 <= value <= limit:
+            raise CadenzaError(f"--{name} {value}: choose 0 to {limit:.0f}")
     if command.configs[PLANNER].effort:
         raise CadenzaError("--planner.effort is for other commands; give --effort")
     if command.task.wrong_press_termination:
@@ -184,18 +184,18 @@ def practised(
     *,
     stop: Callable[[], bool],
 ) -> Iterator[Practising]:
-    """Practise in a folder, which is locked for the block; what was practised is kept there.
+    """Practise in a folder, which is locked for the block and keeps the practice.
 
-    The effort is that in all, counting what was made before; or practice lasts for some minutes.
-    `stop` is often asked whether it is enough.
+    The effort includes the effort so far; or practice lasts for some minutes. `stop`, called often,
+    ends it.
     """
     from cadenza.performing.practising import Practising, check_is_practice, practice_folder
 
     check_is_practice(folder)
-    kept = practice_folder(folder)
-    with kept.locked():
+    resumable = practice_folder(folder)
+    with resumable.locked():
         with stages("planning") as progress:
-            practising = Practising(setup, kept, progress)
+            practising = Practising(setup, resumable, progress)
         _practise(practising, effort, minutes, stop)
         practising.save()
         practising.save_plan()
@@ -217,7 +217,7 @@ def _practise(
             nonlocal num_printed
             played_first = not num_printed and bool(practice.history)
             for row in practice.history[num_printed:]:
-                print(f"effort {row[0]:.2g}: {_scores(row)}")
+                print(f"effort {row[0]:.2g}: {_scores(*row[1:])}")
             num_printed = len(practice.history)
             seconds = time.monotonic() - began
             stage, unit, done, total = _progress(practice, effort, minutes, seconds)
@@ -238,9 +238,10 @@ def _practise(
 def _progress(
     practice: Practice, effort: float, minutes: float | None, seconds: float
 ) -> tuple[str, str, float, float]:
-    """The stage, its unit, how much of it is done, and how much it is, after `seconds`.
+    """The stage, its unit, units done and units in all, after `seconds`.
 
-    The first take and what is finished after the effort say nothing of how long the rest takes.
+    The first take and passages finished after the effort are stages of their own, as their pace is
+    another.
     """
     if minutes is not None:
         return "practising", "s", seconds, 60 * minutes
@@ -250,16 +251,15 @@ def _progress(
 
 def _remark(practice: Practice, score: Score) -> str:
     """The remark beside the progress: scores, the present passage, and how many are left."""
-    so_far = f"{_scores(practice.history[-1])}, " if practice.history else ""
+    so_far = f"{_scores(*practice.history[-1][1:])}, " if practice.history else ""
     how = "another take, " if practice.plays_variant else ""
     num_left = len(practice.passages_with_faults())
     left = f"{counted(num_left, 'passage')} left" if num_left else "all notes right"
     return f"{so_far}{how}{_places(practice, score, practice.current_steps)}, {left}"
 
 
-def _scores(row: tuple[float, float, float]) -> str:
-    """The scores of an entry of the history."""
-    return "F1 {1:.3f}, note onset F1 {2:.3f}".format(*row)
+def _scores(f1: float, note_onset_f1: float) -> str:
+    return f"F1 {f1:.3f}, note onset F1 {note_onset_f1:.3f}"
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:

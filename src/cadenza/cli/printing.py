@@ -1,4 +1,4 @@
-"""What commands print: tables, warnings, and progress, as a bar on a terminal or as lines."""
+"""Output of commands: tables, warnings, and progress, as a bar on a terminal or as lines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 """Whether the command shows no progress."""
 
 SECONDS_BETWEEN_LINES_OF_TRAINING = 30.0
-"""Least time between lines of progress in a log of training, which takes minutes to hours [s]."""
+"""Minimum time between lines of progress in a log of training, which takes minutes to hours [s]."""
 _SECONDS_BETWEEN_LINES = 10.0  # of other work
 
 _UNITS = {  # of stages that do not count steps
@@ -46,7 +46,7 @@ class Advance(Protocol):
 def progress(
     doing: str, unit: str, seconds_between_lines: float = _SECONDS_BETWEEN_LINES
 ) -> Iterator[Advance]:
-    """Show a stage of work on stderr, and yield what to call with units done and in all.
+    """Show a stage of work on stderr; yields a function of units done and in all.
 
     A bar appears on a terminal after a second, and goes at the end. A file or a pipe gets a line
     at most every `seconds_between_lines`, none for shorter work, and no carriage returns.
@@ -82,9 +82,9 @@ def one_after_other() -> Iterator[Callable[..., None]]:
 
 @contextmanager
 def stages(playing: str) -> Iterator[Progress]:
-    """Show one stage of a performance after the other; `playing` is what that stage is called.
+    """Show one stage of a performance after the other; the stage "playing" is shown as `playing`.
 
-    What an agent does between its actions stands as a remark there.
+    An agent's stages between its actions are remarks on that.
     """
     stage, last = "", (0, 0)
     with one_after_other() as show:
@@ -126,7 +126,7 @@ def _bar(doing: str, unit: str) -> Iterator[Advance]:
 
 
 def _lines(doing: str, unit: str, seconds_between: float) -> Advance:
-    began: tuple[float, int] | None = None  # when, and what was done by then
+    began: tuple[float, int] | None = None  # the time, and the units done by then
     last = 0.0
 
     def show(done: int, total: int, remark: str = "") -> None:
@@ -159,44 +159,42 @@ def in_columns(rows: Sequence[Sequence[str]], alignment: str = "<") -> str:
 
 
 @contextmanager
-def stop_on_signal(what_comes: str) -> Iterator[Callable[[], bool]]:
+def stop_on_signal(last_work: str) -> Iterator[Callable[[], bool]]:
     """Yield a function that says whether Ctrl-C was pressed or SIGTERM has arrived.
 
     Until it is called for the first time, either ends the process at once. Afterwards the first of
-    them only prints that the command stops after `what_comes`, and the second ends the process.
+    them only prints that the command stops after `last_work`, and the second ends the process.
     """
-    asked, before = list[int](), dict[int, Any]()
+    signals, handlers = list[int](), dict[int, Any]()
 
-    def as_before() -> None:
-        for number, handler in before.items():
+    def restore() -> None:
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
-    def ask(number: int, _frame: Any) -> None:
-        asked.append(number)
-        as_before()
-        print(f"\nstopping after {what_comes}; press Ctrl-C again to stop at once", file=sys.stderr)
+    def handle(number: int, _frame: Any) -> None:
+        signals.append(number)
+        restore()
+        print(f"\nstopping after {last_work}; press Ctrl-C again to stop at once", file=sys.stderr)
 
     def stop() -> bool:
-        if not before:
-            before.update({n: signal.signal(n, ask) for n in (signal.SIGINT, signal.SIGTERM)})
-        return bool(asked)
+        if not handlers:
+            handlers.update({n: signal.signal(n, handle) for n in (signal.SIGINT, signal.SIGTERM)})
+        return bool(signals)
 
     try:
         yield stop
     finally:
-        as_before()
+        restore()
 
 
 @contextmanager
 def quietly(quiet: bool) -> Iterator[None]:
-    """Show no progress and no results if it is to be `quiet`."""
+    """Show no progress and no results if `quiet`."""
     if not quiet:
         yield
         return
     token = QUIET.set(True)
-    os.environ.setdefault(
-        "HF_HUB_DISABLE_PROGRESS_BARS", "1"
-    )  # of the hub's library, if it is used
+    os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
     try:
         with open(os.devnull, "w", errors="backslashreplace") as nowhere, redirect_stdout(nowhere):
             yield

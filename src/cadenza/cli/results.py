@@ -65,7 +65,7 @@ def in_text(summary: BenchSummary) -> str:
         if len(summary.groups) > 1:
             rows.append([group.name, *[""] * (len(rows[0]) - 1)])
         for agent, own in group.agents.items():
-            first, *others = (metric_text(name, own.mean[name].value) for name in HEADLINES)
+            first, *rest = (metric_text(name, own.mean[name].value) for name in HEADLINES)
             interval = interval_text(HEADLINES[0], own.mean[HEADLINES[0]])
-            rows.append([agent, str(own.pieces), str(own.runs), first, interval, *others])
+            rows.append([agent, str(own.pieces), str(own.runs), first, interval, *rest])
     return in_columns(rows)

@@ -1,4 +1,4 @@
-"""Carries out many runs, and shows how far they are."""
+"""Many runs, carried out with progress."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Work:
 def run_all(
     folder: Path, num_threads: int, execution: Execution, jobs: Sequence[BenchJob], work: Work
 ) -> None:
-    """Carry out in a folder the jobs that are not complete yet, until Ctrl-C; print what is left.
+    """Carry out incomplete jobs in a folder until Ctrl-C, and print how many are left.
 
     Raises KeyboardInterrupt if some runs are left, or CadenzaError if some have failed.
     """
@@ -77,7 +77,7 @@ def run_all(
         progress("running", "runs", SECONDS_BETWEEN_LINES_OF_TRAINING) as advance,
         stop_on_signal(work.until) as stop,
     ):
-        stop()  # from now on
+        stop()  # signals are caught from its first call on
 
         def should_continue(state: BenchState) -> bool:
             advance(state.done, state.total, ", ".join(_under_way(state)))
@@ -94,7 +94,7 @@ def run_all(
 
 
 def _under_way(state: BenchState) -> Iterator[str]:
-    """Yield how far each run is that is under way here, and how many are elsewhere."""
+    """Yield the progress of each run under way here, and the number of runs elsewhere."""
     from cadenza.evaluation.run_status import read_progress
 
     for name, job in state.running.items():
@@ -111,24 +111,24 @@ def _label(job: BenchJob) -> str:
 
 def _outcome_line(state: BenchState, job: BenchJob, work: Work) -> str:
     if job.spec.name in state.failed:
-        how = f"failed: {state.failed[job.spec.name]}"
+        outcome = f"failed: {state.failed[job.spec.name]}"
     elif job in state.todo:
-        how = f"{state.died[job.spec.name][-1]}; it will be taken up again"
+        outcome = f"{state.died[job.spec.name][-1]}; it will be taken up again"
     else:
         try:
-            how = work.outcome(state.folder / job.spec.name, job)
+            outcome = work.outcome(state.folder / job.spec.name, job)
         except (CadenzaError, OSError) as error:
-            how = str(error)
-    return f"{_label(job)}: {how}"
+            outcome = str(error)
+    return f"{_label(job)}: {outcome}"
 
 
 def _print_summary(state: BenchState, folder: Path, next_command: Sequence[str]) -> None:
     """Print how many runs are finished, and which command sums them up; raises as `run_all`."""
     counts = {"failed": len(state.failed), "left": state.left}
-    others = "".join(f", {count} {what}" for what, count in counts.items() if count)
-    print(f"{state.finished} of {state.total} runs finished{others}, in {folder}")
-    for name, why in state.failed.items():
-        print(f"{name}: {why}", file=sys.stderr)
+    rest = "".join(f", {count} {status}" for status, count in counts.items() if count)
+    print(f"{state.finished} of {state.total} runs finished{rest}, in {folder}")
+    for name, reason in state.failed.items():
+        print(f"{name}: {reason}", file=sys.stderr)
     if state.left:
         print("run the same command again to go on", file=sys.stderr)
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""Writes results, and prints how well a song was played."""
+"""Files of results, and the verdict on a performance in print."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SHEETS = (SHEET, ".pdf", ".svg", ".mid")  # endings of files of sheet music
 def check_name(path: Path, suffix: str, what: str) -> None:
     """Check the name of an output file before anything is made for it.
 
-    Raises CadenzaError if it has another ending than `suffix`, or is a folder; `what` says why.
+    Raises CadenzaError if it has another ending than `suffix`, or is a folder; `what` explains.
     """
     if path.suffix != suffix:
         raise CadenzaError(f"{path}: {what}; choose a name with that ending")
@@ -38,14 +38,14 @@ def check_sheet(path: Path, option: str) -> None:
     Raises CadenzaError if it has none of the endings that `write_sheet` knows, or cannot be
     written.
     """
-    known = f"{', '.join(_SHEETS[:-1])} or {_SHEETS[-1]}"
+    endings = f"{', '.join(_SHEETS[:-1])} or {_SHEETS[-1]}"
     suffix = path.suffix if path.suffix in _SHEETS else SHEET
-    check_name(path, suffix, f"sheet music is a {known} file")
+    check_name(path, suffix, f"sheet music is a {endings} file")
     check_writable(path.parent, option)
 
 
 def write_sheet(score: Score, path: Path) -> None:
-    """Write a score with its fingers as its ending says, and print what is not as in the score.
+    """Write a score with its fingers by the ending of `path`, and print where it differs.
 
     Fingers of a .mid file are written beside it.
     """
@@ -102,7 +102,7 @@ def save(
     voice: Tone | None = None,
     verbose: bool = False,
 ) -> None:
-    """Write the results of a performance, print how well it was played, and make its film.
+    """Write the results of a performance, print its verdict, and make its film.
 
     Without a `voice`, the built-in piano plays.
     """
@@ -116,7 +116,7 @@ def save(
     if video:
         try:
             film(folder, voice)
-        except CadenzaError as error:  # what was played is there all the same
+        except CadenzaError as error:  # the other results are there all the same
             print(f"no film: {error}", file=sys.stderr)
 
 
@@ -130,7 +130,7 @@ def film(folder: Path, voice: Tone, path: Path | None = None, look: Look | None 
 
 
 def print_verdict(performance: Performance, verbose: bool) -> None:
-    """Print how well a song was played and what to try, and if `verbose` all figures of it."""
+    """Print the verdict and the advice, and if `verbose` all figures."""
     print(performance.verdict)
     if performance.advice:
         print(f"{performance.advice}.")

@@ -1,4 +1,4 @@
-"""`cadenza songs` and `cadenza libraries`: what there is to play."""
+"""`cadenza songs` and `cadenza libraries`: lists of songs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cadenza.music.libraries.songs import Library, Song
 
 Sort = Literal["name", "length", "difficulty"]
-_LONGEST = 100  # letters of a title or a name in a line
+_MAX_LETTERS = 100  # of a title or a name in a line
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ def _splits(library: Library) -> str:
 def _line(song: Song, width: int) -> str:
     grade = "" if song.difficulty is None else f"{song.difficulty:.1f}"
     seconds = "" if song.seconds is None else f"{song.seconds:.1f} s"
-    by = f" ({song.composer:.{_LONGEST}})" if song.composer else ""
-    what = f"{song.title or song.source:.{_LONGEST}}{by}"
-    return f"{song.name:{width}} {grade:>4} {seconds:>8}  {what}"
+    composer = f" ({song.composer:.{_MAX_LETTERS}})" if song.composer else ""
+    title = f"{song.title or song.source:.{_MAX_LETTERS}}{composer}"
+    return f"{song.name:{width}} {grade:>4} {seconds:>8}  {title}"
 
 
 def _last_if_unknown(value: float | None) -> tuple[bool, float]:

@@ -11,14 +11,14 @@ from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.installing import install_line
 
-_MAX_PLAYERS = 4  # by default, so that something is left of a machine that others use, too
+_MAX_PLAYERS = 4  # by default, as others may use the machine, too
 
 
 @dataclass(frozen=True)
 class StudioCommand:
     """Open a page on this machine: drop a song, and the hands play it while you watch.
 
-    Ctrl-C ends it. What was played is found again the next time.
+    Ctrl-C ends it. Performances are kept for the next time.
 
     Example: cadenza studio
     """
@@ -28,11 +28,10 @@ class StudioCommand:
     port: int = 0
     """Port to listen on; the one of the last time, or any free one, by default."""
     host: str = "127.0.0.1"
-    """Address to listen on. With any other than this machine's own, whoever has the address of the
-    page can use this machine to play."""
+    """Address to listen on. With any other than this machine's own, everybody who has the address
+    of the page can use this machine to play."""
     jobs: int | None = None
-    """Performances that are planned at the same time; by default as many as there are cores, up to
-    four."""
+    """Performances that are planned at the same time; by default one per core, up to four."""
     browser: bool = True
     """Open the page in a browser, where there is a screen."""
 

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from cadenza.report.training_page import Curve
 
 _PAGE = "report.html"
-_PAGE_INTERVAL = 10.0  # [s] at least between two times that the page of a run is written
-_MAX_WRITING = 0.01  # share of the time that is spent on that
+_MIN_PAGE_INTERVAL = 10.0  # [s] between two versions of the page of a run
+_MAX_WRITING = 0.01  # share of the time that they take
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Curves:
 
 
 def default(chosen: Chosen) -> Train:
-    """The command with what its options change: a run's training, or that of a preset.
+    """The command with the training of a resumed run, or of a preset.
 
     Raises CadenzaError if there is no such run, learner or setup.
     """
@@ -138,8 +138,8 @@ def _name_of(songs: Sequence[str]) -> str:
     from cadenza.music.libraries.library import find_song
 
     first, *more = songs
-    others = f"_and_{len(more)}_more" if more else ""
-    return folder_name(name_without_ending(find_song(first).name)) + others
+    suffix = f"_and_{len(more)}_more" if more else ""
+    return folder_name(name_without_ending(find_song(first).name)) + suffix
 
 
 def _title(scores: Sequence[Score]) -> str:
@@ -215,11 +215,11 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
         logs.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
     write_page = RateLimited(
         lambda: _write_curves(run.path, song, training.config, going_on=True),
-        _PAGE_INTERVAL,
+        _MIN_PAGE_INTERVAL,
         _MAX_WRITING,
     )
     if (run.path / _PAGE).exists():
-        write_page(at_once=True)  # says that the run goes on
+        write_page(at_once=True)  # as the run goes on
     scores = ""
     num_shown = len(training.rows)
     shown_steps = progress("learning", "steps", SECONDS_BETWEEN_LINES_OF_TRAINING)

@@ -1,4 +1,4 @@
-"""Broadcast of a performance to pages, to each from its beginning on, until it is over."""
+"""Broadcasts of performances to pages."""
 
 import asyncio
 import json
@@ -15,15 +15,14 @@ _MAX_SENT = 1 << 18  # bytes of rows at once
 
 @dataclass(eq=False)
 class Broadcast:
-    """A performance as far as it is known.
+    """A performance up to now, sent to each page from its beginning on.
 
     Attributes:
-        title: of the song.
-        request: what was asked for, see `cadenza.studio.request.PlayRequest`.
-        status: what is going on; `state` is queued, with how many come `before`, preparing,
-            playing, played, writing, or one of `_OVER`.
-        texts: what is to be played, its engraved score, and why notes were missed, once that is
-            known; see `cadenza.studio.state_stream`.
+        title: the title of the song.
+        request: see `cadenza.studio.request.PlayRequest`.
+        status: `state` is queued, with the number of songs `before` it, preparing, playing, played,
+            writing, or one of `_OVER`.
+        texts: messages of JSON so far, see `cadenza.studio.state_stream`.
         rows: the states of all steps so far.
         changed: is set whenever there is more to send, and replaced.
     """
@@ -37,16 +36,16 @@ class Broadcast:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more happens."""
+        """Whether it has ended."""
         return self.status["state"] in _OVER
 
     def notify(self) -> None:
-        """Send what is new to all pages."""
+        """Wake all pages that wait for news."""
         event, self.changed = self.changed, asyncio.Event()
         event.set()
 
     def receive(self, kind: bytes, content: bytes) -> None:
-        """Take in a message of the process that plays."""
+        """Add a message of the process that plays."""
         if kind == ROWS:
             assert isinstance(self.rows, bytearray)
             self.rows += content
@@ -66,7 +65,7 @@ class Broadcast:
         send_text: Callable[[str], Awaitable[None]],
         send_bytes: Callable[[bytes], Awaitable[None]],
     ) -> None:
-        """Send JSON and rows, no faster than they are taken, until the performance is over."""
+        """Send JSON and rows at the pace of the page, until the performance is over."""
         await send_text(json.dumps({"title": self.title, "request": self.request}))
         status, texts, rows = None, 0, 0
         while True:

@@ -1,4 +1,4 @@
-"""The queue of performances, and practice while none is made, each by a process of its own."""
+"""The queue of performances, and practice between them, each in a process of its own."""
 
 import asyncio
 import json
@@ -37,7 +37,7 @@ class Job(Broadcast):
     """A performance, from the request to its files.
 
     Attributes:
-        order: what is played.
+        order: the order to the process that plays.
         is_busy: whether a process works on it; `process` once that has started.
         timeout: kills the process, where it does not drop a cancelled song in time.
     """
@@ -59,11 +59,11 @@ class Job(Broadcast):
 
 
 class JobQueue:
-    """A queue that plays `at_once` jobs at a time, in order; while any plays, nobody practises.
+    """A queue that plays `at_once` jobs at a time, in order, and suspends practice meanwhile.
 
     Attributes:
-        jobs: by id; those that wait or play, and the last that failed or were cancelled.
-        practice: practises songs in the background.
+        jobs: by id; jobs that wait or play, and the last ones that failed or were cancelled.
+        practice: practice in the background.
     """
 
     def __init__(self, folder: Path, at_once: int = 1) -> None:
@@ -123,7 +123,7 @@ class JobQueue:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def _schedule(self) -> None:
-        """Start the jobs that can play now, and tell the others their places in the queue."""
+        """Start the jobs that can play now, and update the places of the others in the queue."""
         while self._waiting and self._has_room():
             self._start(self._waiting.popleft())
         num_busy = sum(job.is_busy for job in self.jobs.values())
@@ -214,8 +214,8 @@ class BackgroundPractice:
     """Practice of a song in a process, which is suspended while others play.
 
     Attributes:
-        order: what is practised, or was last.
-        status: how far it has got; `state` is idle, or what `cadenza.studio.practice_process` says.
+        order: the order that is practised, or was last.
+        status: progress; `state` is idle, or as in `cadenza.studio.practice_process`.
     """
 
     def __init__(self) -> None:
@@ -229,8 +229,8 @@ class BackgroundPractice:
     def summary(self) -> dict[str, Any]:
         """Fields that the page shows."""
         order = self.order
-        about = {} if order is None else {"title": order.title, "request": asdict(order.request)}
-        return about | {"status": self.status, "paused": self._paused}
+        song = {} if order is None else {"title": order.title, "request": asdict(order.request)}
+        return song | {"status": self.status, "paused": self._paused}
 
     def begin(self, order: Order) -> None:
         """Practise a song from now on, instead of any other."""
@@ -252,7 +252,7 @@ class BackgroundPractice:
         return self.status["state"] in ("preparing", "practising")
 
     def _practises(self, order: Order) -> bool:
-        """Whether this is practised, and no other order has taken its place."""
+        """Whether this order is the one that is practised."""
         return self.order is order and self._is_active
 
     def pause(self, paused: bool) -> None:
@@ -292,6 +292,6 @@ class BackgroundPractice:
         self._fail(order, "practice ended unexpectedly")
 
     def _fail(self, order: Order, error: str) -> None:
-        """Say what went wrong, unless practice of this is done or was stopped."""
+        """Report an error, unless this practice is done or was stopped."""
         if self._practises(order):
             self.status = {"state": "failed", "error": error}

@@ -1,9 +1,8 @@
-"""Limits on uploads, and limits that a process sets for itself before it meets a file of others.
+"""Limits on uploads, and limits that a process sets for itself before it reads foreign files.
 
 `python -m cadenza.studio.limits MODULE ARGUMENT...` runs a module as a process that ends with the
-server, even where that is killed. It writes a byte to stdout before the module runs. Only from then
-on may the server suspend it: a suspended process could not see to its end, and would be left behind
-with its memory and its locks.
+server, even where that is killed. It writes a byte to stdout before the module runs. Only then may
+the server suspend it: suspended before, it would outlive the server, with its memory and locks.
 """
 
 import ctypes

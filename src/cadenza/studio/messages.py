@@ -21,8 +21,8 @@ from typing import IO, Any, NamedTuple
 JSON, ROWS, IDLE = b"J", b"R", b"W"
 HEADER = struct.Struct("<cI")
 MAX_BYTES = 1 << 26  # of a message
-SOUNDS = 128  # in a row, of a key that sounds; what is less is the velocity of a strike
-STEP_PARTS = 255  # of a step, in which a row says when keys are struck and cease to sound
+SOUNDS = 128  # in a row, the bit of a key that sounds; lower bits are the velocity of a strike
+STEP_PARTS = 255  # of a step, the unit of times in a row
 
 
 class WireMessage(NamedTuple):

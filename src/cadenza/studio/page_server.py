@@ -1,7 +1,7 @@
-"""The page of the studio: its parts, the server for those who open it, and its address.
+"""The page of the studio: its parts, its server, and its address.
 
-The address has a token that nobody else on this machine may read: only a page of the studio itself,
-opened with it, reaches the server.
+The address has a token that other users of this machine cannot read: only a page of the studio
+itself, opened with it, reaches the server.
 """
 
 import atexit
@@ -80,14 +80,14 @@ def read_address(path: Path) -> Address | None:
 
 def _is_open_to_others(path: Path, permissions: int) -> bool:
     """Whether others own a file or have one of these permissions (bits of a mode)."""
-    about = path.lstat()
-    if stat.S_ISLNK(about.st_mode):
+    status = path.lstat()
+    if stat.S_ISLNK(status.st_mode):
         return True  # it may lead to a file of theirs
-    return about.st_uid != os.getuid() or bool(about.st_mode & permissions)
+    return status.st_uid != os.getuid() or bool(status.st_mode & permissions)
 
 
 def write_address(path: Path, address: Address) -> None:
-    """Write a file that nobody else can read."""
+    """Write a file that only this user can read."""
     path.touch(_PRIVATE)
     path.chmod(_PRIVATE)  # which the file that takes its place keeps
     write_json(path, asdict(address))
@@ -96,9 +96,8 @@ def write_address(path: Path, address: Address) -> None:
 def announce(address: str, browser: bool = True, folder: Path | None = None) -> None:
     """Print the address of the page, and open it where there is a screen and `browser` is true.
 
-    Everybody on this machine can read the arguments of the browser, so that it is given a file of
-    ours to open, in a folder of its own in `folder`, which leads on to the address. It is there
-    until this process ends.
+    As other users of this machine can read the arguments of the browser, it opens a private file in
+    `folder`, which leads on to the address and is deleted when this process ends.
     """
     print(f"Open {address}", flush=True)
     if not browser or not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -182,11 +181,11 @@ def serve(
 ) -> None:
     """Serve until the process is to end.
 
-    Raises CadenzaError if somebody else listens there, there is no such address, or others may have
-    written the file.
+    Raises CadenzaError if the address is in use or does not exist, or others may have written the
+    file.
 
     Args:
-        app: makes what is served of its token and host.
+        app: makes the application from the token and the host.
         host, port: where to listen; port 0 is the one of the last time, or any.
         ready: is called with the address to open, which holds a random token.
         address_file: keeps token and port for the next time, so that links stay valid.
@@ -261,8 +260,8 @@ _HEADERS = {
 class AccessControl:
     """An app behind the token: it sees requests whose path begins with it, without it.
 
-    The Host must be this machine's name in the address bar and no domain that somebody else has
-    pointed here; whatever changes something, and every WebSocket, must come from our own page.
+    The Host must be this machine's name in the address bar, and no other domain that points here;
+    requests that change something, and every WebSocket, must come from our own page.
     """
 
     def __init__(self, app: ASGIApp, token: str, host: str) -> None:
@@ -286,7 +285,7 @@ class AccessControl:
             await self._app(inner, receive, with_headers)
 
     def _reason_to_refuse(self, scope: Scope) -> str:
-        """An empty string for a request that is let through."""
+        """The reason to refuse a request; empty if it is let through."""
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin")
         if not self._is_ours(host):
@@ -300,7 +299,7 @@ class AccessControl:
         return ""
 
     def _is_ours(self, host: str) -> bool:
-        """Whether nobody can point this host elsewhere, as with a number or localhost."""
+        """Whether a host cannot be pointed elsewhere, such as a number or localhost."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:

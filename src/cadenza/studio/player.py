@@ -1,9 +1,8 @@
 """Player of one song, as a process of its own: `python -m cadenza.studio.player`.
 
-It loads all that is needed and warms up, then waits for an order (see
-`cadenza.studio.request.Order`) as a line of JSON on stdin, and sends on stdout what happens, as
-`cadenza.studio.messages` describes. While it plays, the server can have it drop
-the song and wait for the next order. It ends when it has played a song to its end.
+It loads its modules and warms up, then waits for an order (see `cadenza.studio.request.Order`) as a
+line of JSON on stdin, and sends messages on stdout (see `cadenza.studio.messages`). While it plays,
+the server can cancel the song, and it waits for the next order. It ends after a complete song.
 """
 
 import os
@@ -82,9 +81,9 @@ class Cancelled(BaseException):
 
 
 def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
-    """Play what is asked for, and keep it.
+    """Play the song of an order, and keep the performance.
 
-    Raises Cancelled if there is a line in `orders`, or their end, before the song is at its own.
+    Raises Cancelled if there is a line in `orders`, or their end, before the song ends.
     """
 
     def send(message: WireMessage) -> None:
@@ -119,13 +118,13 @@ def error_text(error: BaseException, order: Order) -> str:
 
 
 def warm_up() -> None:
-    """Take a step, so that what a first step loads and computes is there for the next."""
+    """Take a step, as the first one loads and computes much."""
     with set_up(Score((Note(0.0, 0.1, 60),)), find_player(PLANNER)) as setup:
         perform(setup, stop=lambda: True)
 
 
 def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performance, StateStream]:
-    """Play a song and send each step, calling `check` now and then; return what was sent too."""
+    """Play a song and send each step, calling `check` now and then; returns the sent states too."""
     report = progress_reporter(send)
 
     def prepare(stage: str, done: int, total: int) -> None:
@@ -165,7 +164,7 @@ def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Set
 
 
 def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
-    """Set up what has been practised, where that is asked for and there is any."""
+    """Set up the practised plan of a song, if the order asks for it and there is one."""
     if order.request.agent != PRACTISED:
         return None
     folder = practice_folder_of(order)
@@ -196,13 +195,10 @@ def _song(order: Order) -> LoadedSong:
 
 
 def save(performance: Performance, states: StateStream, order: Order, send: Send) -> None:
-    """Write what `cadenza play` leaves, and what was sent, to be watched again.
-
-    The folder appears when all of it is there.
-    """
+    """Write the files of `cadenza play` and the sent messages; the folder appears at the end."""
     root = Path(order.folder)
     folder = unfinished_folder(root, order.id)
-    about = KeptPerformance(
+    summary = KeptPerformance(
         title=order.title,
         request=order.request,
         verdict=words_of(performance),
@@ -214,7 +210,7 @@ def save(performance: Performance, states: StateStream, order: Order, send: Send
         performance.save(folder, progress_reporter(send, "writing"))
         (folder / HEADER_FILE).write_bytes(json_message(**states.header).content)
         (folder / ROWS_FILE).write_bytes(states.rows)
-        write_json(folder / ABOUT, asdict(about))
+        write_json(folder / ABOUT, asdict(summary))
         folder.rename(root / order.id)
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,9 +1,9 @@
 """Practice of one song, as a process of its own: `python -m cadenza.studio.practice_process`.
 
-It reads an order on stdin, as the process that plays does, and sends on stdout how far it has got:
+It reads an order on stdin, as the process that plays does, and sends its progress on stdout:
 `state` practising, done or failed, `f1` and `note_onset_f1` at first sight and of the best after
-every attempt at all of the song, and what `share` of all practice has been made. Whenever the song
-is played better, its folder has the plan for it.
+every attempt at the song, and the `share` of all practice that has been made. Its folder has the
+best plan so far.
 """
 
 import os
@@ -27,7 +27,7 @@ from cadenza.studio.player import (
 )
 from cadenza.studio.request import Order
 
-_NICENESS = 10  # nobody waits for practice
+_NICENESS = 10  # practice is not urgent
 _REPORT_INTERVAL = 1.0  # [s] between two reports
 
 
@@ -50,11 +50,11 @@ def main() -> None:
 
 
 def practise(order: Order, send: Send) -> None:
-    """Practise, and save what is played better."""
+    """Practise, and save better plans."""
     folder, report = practice_folder_of(order), progress_reporter(send)
     practice = practice_folder(folder)
-    with practice.claimed() as ours, set_up_order(order, report) as setup:
-        if not ours:
+    with practice.claimed() as is_claimed, set_up_order(order, report) as setup:
+        if not is_claimed:
             raise CadenzaError("another studio practises this song already")
         try:
             practising = Practising(setup, practice, report)

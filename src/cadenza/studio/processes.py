@@ -1,4 +1,4 @@
-"""Processes that work for the server: starts them, sends orders, and reads their messages."""
+"""Processes that work for the server: their start, orders and messages."""
 
 import json
 import os
@@ -18,10 +18,10 @@ from cadenza.studio.messages import HEADER, MAX_BYTES
 from cadenza.studio.request import Order
 
 
-async def start_process(module: str, *arguments: str, **how: Any) -> Process:
+async def start_process(module: str, *arguments: str, **options: Any) -> Process:
     """Start a module of ours as a process, which imports nothing from the working folder."""
     command = [sys.executable, "-P", "-m", module, *arguments]
-    return await create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, **how)
+    return await create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, **options)
 
 
 async def start_bound_process(module: str) -> Process:
@@ -31,7 +31,7 @@ async def start_bound_process(module: str) -> Process:
     try:
         await process.stdout.read(1)
     except BaseException:
-        kill(process)  # nobody else knows of it
+        kill(process)  # it would be left behind
         raise
     return process
 
@@ -72,9 +72,9 @@ async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
             yield kind, await stream.readexactly(length)
 
 
-async def _output_of(module: str, *arguments: str, **how: Any) -> bytes | None:
+async def _output_of(module: str, *arguments: str, **options: Any) -> bytes | None:
     """The output of a module of ours, run as a process; None if it fails, or is killed."""
-    process = await start_process(module, *arguments, **how)
+    process = await start_process(module, *arguments, **options)
     try:
         output, _ = await process.communicate()
     finally:

@@ -35,8 +35,8 @@ HEADER_FILE, ROWS_FILE = "states.json", "states.rows"
 """Files of a performance, with the messages that were sent while it was played."""
 PRACTISED, UNREFINED = "practised", "sight"
 PLANNER_VARIANTS = PRACTISED, UNREFINED
-"""Agents of `AGENTS` that are the planner under another name: the first plays what has been
-practised before and goes on practising, the second follows the plan as it is."""
+"""Agents of `AGENTS` that are the planner under another name: the first plays practised plans and
+goes on practising, the second follows the plan as it is."""
 AGENTS = {
     "planner": ("Planner", "Plans fingers and motions, and refines them while it plays."),
     "generalist": ("Generalist", "The plan, corrected by networks, without a search; quick."),
@@ -48,12 +48,12 @@ AGENTS = {
     "pretrained": ("Learnt policy", "Trained on this song; there is one for a few bundled pieces."),
     "predictive-sampling": ("Predictive sampling", "For contrast: a search without a plan."),
 }
-"""Agents that play on any machine: their titles on the page, and what they do."""
+"""Agents that play on any machine: their titles and descriptions on the page."""
 
 
 @dataclass(frozen=True)
 class PlayRequest:
-    """A song, and how it is to be played."""
+    """A song, and options of its performance."""
 
     song: str  # the name of a bundled piece, or the id of an upload
     # The name of an agent that the studio offers; on the command line, of any
@@ -62,7 +62,7 @@ class PlayRequest:
     transpose: int = 0  # the number of semitones
     tracks: tuple[int, ...] = ()  # numbers of the tracks to be played; all where none is given
     hand: str = "shadow"  # the name of a hand that the studio offers; on the command line, of any
-    # The hands that play: both as it suits them or as written, or one what is written for it
+    # Both hands, with fingers found or as written, or one hand with its own notes
     hands: Literal["both", "written", "right", "left"] = "both"
     seed: int = 0
     # Whether the notes of a score are played as they stand, without what its signs mean
@@ -104,14 +104,14 @@ class Order:
 
 def hand_titles() -> dict[str, str]:
     """The titles of the hands on the page, by their names."""
-    about = {name: entry.about.removeprefix("the ") for name, entry in HANDS.entries().items()}
-    return {name: words[:1].upper() + words[1:] or name for name, words in about.items()}
+    titles = {name: entry.about.removeprefix("the ") for name, entry in HANDS.entries().items()}
+    return {name: title[:1].upper() + title[1:] or name for name, title in titles.items()}
 
 
 def read_request(content: Any, agents: Collection[str], hands: Collection[str]) -> PlayRequest:
     """The request that JSON holds, for one of these agents and hands.
 
-    Raises CadenzaError if it holds something else, or asks for what cannot be.
+    Raises CadenzaError if it is no such request, or an option makes no sense.
     """
     try:
         request = checked(content, PlayRequest, "request")
@@ -123,12 +123,12 @@ def read_request(content: Any, agents: Collection[str], hands: Collection[str]) 
     check_ranges(request, _RANGES)
     if len(request.tracks) > _MAX_TRACKS or not all(0 < t <= _MAX_TRACK for t in request.tracks):
         raise CadenzaError(f"tracks: choose {_MAX_TRACKS} or fewer, by their numbers in the file")
-    _ = request.arrangement  # raises what is wrong with it
+    _ = request.arrangement  # raises an error if an option makes no sense
     return request
 
 
 def unfinished_folder(root: Path, id: str) -> Path:
-    """The folder in which a performance is written until it is whole; nobody lists it."""
+    """The hidden folder in which a performance is written until it is complete."""
     return root / f".{id}"
 
 

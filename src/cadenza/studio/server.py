@@ -1,4 +1,4 @@
-"""The studio's server: songs, requests to play and practise them, and what is kept."""
+"""The studio's server: songs, requests to play and practise them, and kept performances."""
 
 import asyncio
 import re
@@ -30,8 +30,8 @@ from cadenza.studio.request import AGENTS, hand_titles, read_request
 from cadenza.studio.storage import FILES, Storage, Upload
 from cadenza.studio.tone_samples import Synthesizer
 
-_FIRST_SONG = "FurEliseOpening"  # with which the page opens
-_FIRST_TONE = 60, 2  # middle C, made at the start: the process that makes tones is ready then
+_FIRST_SONG = "FurEliseOpening"  # on the page when it opens
+_FIRST_TONE = 60, 2  # middle C, made at the start, so that the process for tones is ready
 _CACHED = {"cache-control": "private, max-age=31536000, immutable"}
 _MAX_NAME = 255  # letters of the name of a file, as most file systems have it
 _MAX_JSON = 1 << 14  # bytes of a request
@@ -87,7 +87,7 @@ class Studio:
             return None
 
     def routes(self) -> list[BaseRoute]:
-        """All that the server answers."""
+        """The routes of the server."""
         storage, jobs = self.storage, self.jobs
         remove = storage.remove_performance
         return [
@@ -164,12 +164,12 @@ class Studio:
             await broadcast.send_all(socket.send_text, socket.send_bytes)
 
     def songs(self, _: Request) -> Response:
-        """List songs, agents and hands, and say with which song the page opens."""
-        about = {"songs": self.storage.songs(), "agents": self._agents, "hands": self._hands}
-        return JSONResponse(about | {"first": _FIRST_SONG})
+        """List songs, agents and hands, and the song with which the page opens."""
+        choices = {"songs": self.storage.songs(), "agents": self._agents, "hands": self._hands}
+        return JSONResponse(choices | {"first": _FIRST_SONG})
 
     async def opening(self, _: Request) -> Response:
-        """Answer the picture with which the page opens, of `_FIRST_SONG`; null if none is made."""
+        """Answer the first picture of the page, of `_FIRST_SONG`; null if none is made."""
         if self._opening is None:  # made once
             self._opening = asyncio.create_task(opening_picture(_FIRST_SONG))
         picture = await asyncio.shield(self._opening)
@@ -188,20 +188,20 @@ class Studio:
                 async with self._reading:
                     contents = await read_upload(path)
         except CadenzaError:
-            if not self.storage.is_listed(id):  # else it has been read before, and is the same
+            if not self.storage.is_listed(id):  # else the same file has been read before
                 path.unlink(missing_ok=True)
             raise
         title = contents.pop("title") or title
-        about = {"id": id, "title": title, "ending": ending, **contents}
-        upload = checked(about, Upload, name or "the file")
+        facts = {"id": id, "title": title, "ending": ending, **contents}
+        upload = checked(facts, Upload, name or "the file")
         await run_in_threadpool(self.storage.list_upload, upload)
         return JSONResponse({"id": id, "title": title, **contents}, 201)
 
     async def play(self, request: Request) -> Response:
         """Add a job that plays a song."""
         content = await _body(request, _MAX_JSON, "the request")
-        asked = parsed_json(content, dict[str, Any], "request")
-        play_request = read_request(asked, self._agents, self._hands)
+        options = parsed_json(content, dict[str, Any], "request")
+        play_request = read_request(options, self._agents, self._hands)
         title, source, uploaded = await run_in_threadpool(self.storage.source, play_request.song)
         job = self.jobs.submit(play_request, title, source, uploaded)
         return JSONResponse(job.summary, 201)
@@ -231,14 +231,14 @@ async def _closed(socket: WebSocket) -> None:
 
 
 async def _report_error(_: Request, error: Exception) -> Response:
-    """Answer in one line what is wrong with a request, or with the disk."""
+    """Answer an error of a request, or of the disk, in one line."""
     if isinstance(error, OSError):
         return error_response(error.strerror or "the disk cannot be read or written", 500)
     return error_response(" ".join(str(error).split()), 400)
 
 
 def error_response(message: str, status: int) -> Response:
-    """A response that says in one line what is wrong."""
+    """A response with an error in one line."""
     return JSONResponse({"error": message}, status)
 
 
@@ -264,24 +264,24 @@ def _in_thread(work: Callable[..., Any]) -> Callable[[Request], Awaitable[Respon
     return _action(lambda **names: run_in_threadpool(work, **names))
 
 
-async def _body(request: Request, most: int, what: str) -> bytes:
-    """Receive the body of a request, of up to `most` bytes; `what` names it in errors.
+async def _body(request: Request, max_bytes: int, name: str) -> bytes:
+    """Receive the body of a request, of up to `max_bytes`; `name` stands in errors.
 
     Raises CadenzaError if the body is larger, or does not arrive.
     """
-    too_large = CadenzaError(f"{what} is larger than {most / 2**20:.3g} MiB")
+    too_large = CadenzaError(f"{name} is larger than {max_bytes / 2**20:.3g} MiB")
     length = request.headers.get("content-length", "0")
-    if not re.fullmatch("[0-9]{1,15}", length) or int(length) > most:  # Python reads no longer ones
+    if not re.fullmatch("[0-9]{1,15}", length) or int(length) > max_bytes:
         raise too_large
     content = bytearray()
     try:
         async with asyncio.timeout(RECEIVE_TIME):
             async for chunk in request.stream():
                 content += chunk
-                if len(content) > most:
+                if len(content) > max_bytes:
                     raise too_large
     except TimeoutError as error:
-        raise CadenzaError(f"{what} takes too long to come") from error
+        raise CadenzaError(f"{name} takes too long to come") from error
     except ClientDisconnect as error:
-        raise CadenzaError(f"{what} has not come to its end") from error
+        raise CadenzaError(f"{name} has not come to its end") from error
     return bytes(content)

@@ -1,7 +1,7 @@
-"""Stream of states: sends what is to be played and then each step, while it is played.
+"""The stream of states: a header with the song, then each step while it is played.
 
-`python -m cadenza.studio.state_stream SONG` prints what is sent of a song before its first step,
-for the first picture of the page: hands at rest, and the notes to come.
+`python -m cadenza.studio.state_stream SONG` prints the header of a song, for the first picture of
+the page: hands at rest, and the notes to come.
 """
 
 import os
@@ -24,12 +24,12 @@ from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
 from cadenza.tasks.goal_track import GoalTrack
 
-_PATIENCE = 20.0  # [s] for which a score is waited for
-_ALL_THE_WAY = 255  # of a key that is down, in a row
+_PATIENCE = 20.0  # [s] to wait for a score
+_FULL_DEPTH = 255  # in a row, of a key that is down
 
 
 def words_of(performance: Performance) -> str:
-    """How well a song was played, and what to try, as the page says it."""
+    """The verdict and the advice, as the page shows them."""
     tip = performance.advice
     return f"{performance.verdict} {tip.words}." if tip else performance.verdict
 
@@ -38,8 +38,8 @@ class StateStream:
     """A sender of messages as `cadenza.studio.messages` describes them.
 
     Attributes:
-        header: what is to be played, its fingers once it begins, its engraved score once there is
-            one and, once it is over, why notes were missed.
+        header: the song, its fingers once it begins, its engraved score once there is one and, once
+            it is over, the causes of missed notes.
         rows: the states of all steps so far.
     """
 
@@ -57,7 +57,7 @@ class StateStream:
         self.rows = bytearray()
 
     def begin(self) -> None:
-        """Send what is to be played; music that is drawn at random is sent with the first step."""
+        """Send the header; with random variations of the song, the first step does."""
         if not draws_variation(self._task.config):
             self._send_header(self._task.tracks[0])
 
@@ -81,14 +81,14 @@ class StateStream:
         )
 
     def _fates(self, track: GoalTrack) -> list[dict[str, Any]]:
-        """What became of each note of a song that was arranged."""
+        """The fate of each note of a song that was arranged."""
         arrangement = self._setup.arrangement
         return [] if arrangement is None else [f.as_json for f in arrangement.fates(track)]
 
-    def _add(self, **known: Any) -> None:
-        """Send what has become known, and keep it in the header."""
-        self._send(json_message(**known))
-        self.header |= known
+    def _add(self, **fields: Any) -> None:
+        """Send fields, and keep them in the header."""
+        self._send(json_message(**fields))
+        self.header |= fields
 
     def step(self) -> None:
         """Send the state after the step that was just taken, and the score when it is engraved."""
@@ -104,14 +104,14 @@ class StateStream:
         self._send_score()
         row = np.zeros((), self._row)
         row["joints"] = state.hand_qpos[0]
-        row["depth"] = _ALL_THE_WAY * reward.key_state(state.key_qpos[0], self._travel)
+        row["depth"] = _FULL_DEPTH * reward.key_state(state.key_qpos[0], self._travel)
         row["sounds"], row["times"] = self._sounds()
         row["pedal"] = task.pedal_down[0]
         self.rows += row.tobytes()
         self._send(WireMessage(ROWS, row.tobytes()))
 
     def finish(self, performance: Performance) -> None:
-        """Send how well all was played, the score if that is yet to come, and what was missed."""
+        """Send the verdict, the score if that is yet to come, and missed notes."""
         verdict, remarks = words_of(performance), performance.remarks
         self._send(json_message(state="played", verdict=verdict, remarks=remarks))
         self._send_score(_PATIENCE)
@@ -124,7 +124,7 @@ class StateStream:
         self._add(engraving=engraving)
 
     def _sounds(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """What sounds and the times in the step at which that changed, as rows have them."""
+        """The bytes of a row for keys that sound, and for times of events in the step."""
         task, step = self._task, int(self._task.goals.steps_done[0]) - 1
         onset, offset, speed = (values[:1] for values in task.state.key_events)
         velocity = reward.midi_velocity(speed, task.scene.keyboard)

@@ -1,9 +1,9 @@
 """The folder of the studio: uploads, and performances as `cadenza play` leaves them.
 
-    FOLDER/uploads/ID.mid       a file that was dropped, and ID.json, what it holds
-    FOLDER/ID/report.html ...   a performance, and studio.json, what the list says of it
+    FOLDER/uploads/ID.mid       a file that was dropped, and ID.json, facts about it
+    FOLDER/ID/report.html ...   a performance, and studio.json, its entry in the list
 
-Ids are made here. The names that a visitor gives are shown and never part of a path.
+Ids are made here. Names that a visitor gives are shown, and never part of a path.
 """
 
 import hashlib
@@ -36,10 +36,10 @@ from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest
 
 _ID_DIGITS = 16
 _ID = re.compile(f"[0-9a-f]{{{_ID_DIGITS}}}")
-ABOUT = "studio.json"  # file of a performance, with what the list shows
+ABOUT = "studio.json"  # file of a performance, with its entry in the list
 MAX_UPLOADS = 200
 _MAX_TITLE = 100
-_ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
+_ABANDONED = 3600.0  # [s] after which an unfinished file is deleted
 FILES = {
     "report.html": "text/html; charset=utf-8",
     "played.mid": "audio/midi",
@@ -50,7 +50,7 @@ FILES = {
 
 @dataclass(frozen=True)
 class Upload:
-    """A file that was dropped, and what it holds."""
+    """A file that was dropped."""
 
     id: str
     title: str
@@ -85,11 +85,11 @@ class Storage:
         self._tidy()
 
     def _tidy(self) -> None:
-        """Delete what processes that were killed have left."""
+        """Delete files that killed processes have left."""
         old = time.time() - _ABANDONED
         for path, changed in modification_times(self.folder.glob(".*")).items():
-            ours = _ID.fullmatch(path.name[1:]) or _is_temporary(path)
-            if changed < old and ours and path.is_dir():  # else rmtree waits for a pipe
+            is_ours = _ID.fullmatch(path.name[1:]) or _is_temporary(path)
+            if changed < old and is_ours and path.is_dir():  # else rmtree waits for a pipe
                 shutil.rmtree(path, ignore_errors=True)
         for path, changed in modification_times(self.uploads.glob("*")).items():
             unread = _ID.fullmatch(path.stem) and not self.is_listed(path.stem)
@@ -122,17 +122,16 @@ class Storage:
         return uploads
 
     def _upload(self, path: Path) -> Upload:
-        """Read what an upload holds. Raises CadenzaError if no upload of ours lies there."""
+        """Read the facts of an upload. Raises CadenzaError if there is none."""
         upload = read_json(path, Upload) if _ID.fullmatch(path.stem) else None
         if upload is None or upload.id != path.stem or upload.ending not in MUSIC:
             raise CadenzaError("there is no such upload")
         return upload
 
     def write_upload(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
-        """Write an upload; it is listed once `list_upload` says what it holds.
+        """Write an upload, which `list_upload` lists later.
 
-        Raises CadenzaError if there are too many already. Returns where it lies, its id, its title
-        and its ending.
+        Raises CadenzaError if there are too many already. Returns its path, id, title and ending.
         """
         ending, id = ending_of(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
         path = self.uploads / f"{id}{ending}"
@@ -162,7 +161,7 @@ class Storage:
     # Performances
 
     def performances(self) -> list[dict[str, Any]]:
-        """List all performances that are whole, the newest first."""
+        """List all complete performances, the newest first."""
         performances = []
         for path in self.folder.glob("*"):
             if not _ID.fullmatch(path.name) or path.is_symlink():
@@ -170,8 +169,8 @@ class Storage:
             with suppress(CadenzaError, OSError):
                 kept = read_json(path / ABOUT, KeptPerformance)
                 files = [name for name in FILES if _is_own(path / name)]
-                about = {"id": path.name, "files": files, "has_states": _has_states(path)}
-                performances.append(asdict(kept) | about)
+                facts = {"id": path.name, "files": files, "has_states": _has_states(path)}
+                performances.append(asdict(kept) | facts)
         return sorted(performances, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""The sound of a key as the page plays it: samples that Web Audio starts and damps."""
+"""Samples of keys, which the page plays and damps by Web Audio."""
 
 import struct
 from typing import Any
@@ -43,8 +43,8 @@ def samples(pitch: int, band: int) -> bytes:
 class Synthesizer:
     """A maker of one tone after the other, in a process.
 
-    The server must not make them itself: it starts processes, and what multiplies matrices on
-    threads may then hang for ever.
+    The server must not make them itself: as it starts processes, products of matrices on threads
+    may hang for ever.
     """
 
     def __init__(self) -> None:

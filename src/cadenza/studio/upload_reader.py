@@ -1,6 +1,6 @@
 """Reader of an upload, as a process of its own: `python -m cadenza.studio.upload_reader FILE`.
 
-It prints what the file holds as JSON, or `{"error": ...}` in one line, whatever the file is.
+It prints facts about the file as JSON, or `{"error": ...}` in one line, whatever the file is.
 """
 
 import json
@@ -16,7 +16,7 @@ from cadenza.music.formats.source import title_of
 from cadenza.music.score import Score
 from cadenza.studio.limits import MAX_NOTES, MAX_SECONDS, READING, limit
 
-_MAX_TRACKS, _MAX_REMARKS = 256, 20  # that are shown of a file
+_MAX_TRACKS, _MAX_REMARKS = 256, 20  # of a file on the page
 
 
 def describe(path: Path) -> dict[str, Any]:
