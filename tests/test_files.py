@@ -307,7 +307,7 @@ def test_what_is_too_large_is_not_read(huge):
         with pytest.raises(
             CadenzaError, match=r"takes 3,221,225,472 bytes, .* no more than 1,048,576"
         ):
-            sha256_of(huge, most=2**20)
+            sha256_of(huge, max_bytes=2**20)
 
 
 @pytest.mark.parametrize(
@@ -419,10 +419,10 @@ def test_tensors_of_another_program_are_refused(tmp_path):
 
 def test_tensors_that_could_not_be_read_again_are_not_written(tmp_path):
     path = tmp_path / "file.safetensors"
-    write_tensors(path, {"a": np.zeros(3)}, most=2**20)
+    write_tensors(path, {"a": np.zeros(3)}, max_bytes=2**20)
     before = path.read_bytes()
     with pytest.raises(CadenzaError, match="would take 8 MiB; such a file holds up to 1 MiB"):
-        write_tensors(path, {"a": np.zeros(2**20)}, most=2**20)
+        write_tensors(path, {"a": np.zeros(2**20)}, max_bytes=2**20)
     assert path.read_bytes() == before
 
 

@@ -118,10 +118,10 @@ def _is_plain(hint: Any) -> bool:
     return hint in (*_WORDS, NoneType) or get_origin(hint) is Literal
 
 
-def whole_number(value: Any, name: str, least: int, most: int) -> int:
-    """`value` as an int from `least` to `most`; raises CadenzaError, which begins with `name`."""
+def whole_number(value: Any, name: str, low: int, high: int) -> int:
+    """`value` as an int from `low` to `high`; raises CadenzaError, which begins with `name`."""
     number: int = _as(value, int, name)
-    _check_range(number, name, least, most)
+    _check_range(number, name, low, high)
     return number
 
 
@@ -132,8 +132,8 @@ def check_ranges(
 
     Raises CadenzaError if one is not; `prefix` stands before its name.
     """
-    for name, (least, most) in ranges.items():
-        _check_range(getattr(config, name), prefix + name, least, most)
+    for name, (low, high) in ranges.items():
+        _check_range(getattr(config, name), prefix + name, low, high)
 
 
 def check_positive(config: object, names: Iterable[str]) -> None:
@@ -143,9 +143,9 @@ def check_positive(config: object, names: Iterable[str]) -> None:
             raise CadenzaError(f"{name} {value}: choose more than 0")
 
 
-def _check_range(value: float, name: str, least: float, most: float) -> None:
-    if not least <= value <= most:
-        limits = f"{least} or more" if most >= MAX_COUNT > value else f"{least} to {most}"
+def _check_range(value: float, name: str, low: float, high: float) -> None:
+    if not low <= value <= high:
+        limits = f"{low} or more" if high >= MAX_COUNT > value else f"{low} to {high}"
         raise CadenzaError(f"{name} {value}: choose {limits}")
 
 

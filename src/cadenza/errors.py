@@ -39,28 +39,28 @@ _MAX_OTHERS = 300  # letters of a message that others word, and may fill with wh
 _MAX_SHOWN = 1500  # letters of a message, which is a screen of them
 
 
-def quoted(value: object, most: int = _MAX_QUOTED) -> str:
-    """What was read or given, as a message may quote it: a line of at most `most` letters.
+def quoted(value: object) -> str:
+    """A value as a message may quote it: a line of at most `_MAX_QUOTED` letters.
 
     Text stands in quotation marks, and what cannot be printed in it is escaped. Every message that
     repeats the content of a file, an argument or a name quotes it so, however long, deeply nested
     or wrongly written it may be.
     """
     try:
-        text = repr(value[: most + 1] if isinstance(value, str | bytes) else value)
+        text = repr(value[: _MAX_QUOTED + 1] if isinstance(value, str | bytes) else value)
     except Exception:  # whole numbers of too many digits, nested lists, classes of users
         text = f"a value of type {type(value).__name__}"
-    return shortened(text, most)
+    return shortened(text, _MAX_QUOTED)
 
 
-def shortened(text: str, most: int = _MAX_OTHERS) -> str:
-    """Text that others have worded, such as the message of a library, as a line of a message.
+def shortened(text: str, limit: int = _MAX_OTHERS) -> str:
+    """Text of others, such as the message of a library, as a line of a message.
 
-    White space becomes a space, what cannot be printed is escaped, and what is longer than `most`
+    White space becomes a space, unprintable letters are escaped, and longer text than `limit`
     letters ends with "...".
     """
-    line = on_one_line(" ".join(text[: most * 2].split()))
-    return line if len(line) <= most and len(text) <= most * 2 else f"{line[: most - 3]}..."
+    line = on_one_line(" ".join(text[: limit * 2].split()))
+    return line if len(line) <= limit and len(text) <= limit * 2 else f"{line[: limit - 3]}..."
 
 
 def counted(number: int, noun: str) -> str:

@@ -171,15 +171,15 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
 
 
 @contextmanager
-def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
-    """Open a regular file of at most `most` bytes, or raise a CadenzaError."""
+def _readable(path: Path, max_bytes: int | None) -> Iterator[IO[bytes]]:
+    """Open a regular file of at most `max_bytes`, or raise a CadenzaError."""
     try:
         with opened(path) as file:
             size = os.fstat(file.fileno()).st_size
-            if most is not None and size > most:
+            if max_bytes is not None and size > max_bytes:
                 raise CadenzaError(
                     f"{path}: takes {size:,} bytes, but such a file needs no more than "
-                    f"{most:,}; {_ANOTHER}"
+                    f"{max_bytes:,}; {_ANOTHER}"
                 )
             yield file
     except FileNotFoundError as error:
@@ -188,23 +188,23 @@ def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
         raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def content_of(path: Path, most: int = MAX_JSON) -> bytes:
-    """Read all of a file, and nothing of one of over `most` bytes.
+def content_of(path: Path, max_bytes: int = MAX_JSON) -> bytes:
+    """Read all of a file, and nothing of one of over `max_bytes`.
 
     Raises CadenzaError if it is not there, cannot be read, or is larger.
     """
-    with _readable(path, most) as file:
+    with _readable(path, max_bytes) as file:
         return file.read(os.fstat(file.fileno()).st_size)  # and not what is added meanwhile
 
 
-def sha256_of(*paths: Path, most: int | None = None) -> str:
+def sha256_of(*paths: Path, max_bytes: int | None = None) -> str:
     """The SHA-256 of what files hold, one after the other.
 
-    Raises CadenzaError if one is not there, cannot be read, or takes over `most` bytes.
+    Raises CadenzaError if one is not there, cannot be read, or takes over `max_bytes`.
     """
     digest = hashlib.sha256()
     for path in paths:
-        with _readable(path, most) as file:
+        with _readable(path, max_bytes) as file:
             hashlib.file_digest(file, lambda: digest)  # type: ignore[arg-type]
     return digest.hexdigest()
 
@@ -227,8 +227,8 @@ def files_in(folder: Path) -> Iterator[Path]:
                     yield Path(entry.path).relative_to(folder)
 
 
-def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Unpack a member of at most `most` bytes, and no more than that.
+def unpacked(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
+    """Unpack a member of at most `max_bytes`, and no more than that.
 
     Raises:
         CadenzaError: it holds more, or is packed in a way that may unpack any amount at once.
@@ -237,9 +237,9 @@ def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
     if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise CadenzaError("packed in an unusual way; pack it again as a plain ZIP file (deflate)")
     with archive.open(name) as stream:
-        content = stream.read(most + 1)
-    if len(content) > most:
-        raise CadenzaError(f"over {most >> 20} MiB unpacked, too large for a song")
+        content = stream.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise CadenzaError(f"over {max_bytes >> 20} MiB unpacked, too large for a song")
     return content
 
 
@@ -249,27 +249,27 @@ _WHOLE = re.compile("[+-]?[0-9]{1,40}")  # int() refuses thousands of digits wit
 _DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
-def whole_number_in(text: str, what: str, least: int, most: int) -> int:
-    """The whole number from `least` to `most` that a file or a user writes as `text`.
+def whole_number_in(text: str, what: str, low: int, high: int) -> int:
+    """The whole number from `low` to `high` that a file or a user writes as `text`.
 
     All text from outside becomes a number here or in `number_in`, never by int() or float() alone:
     they take "1_000", other digits than 0 to 9, nan and infinity, and int() fails in its own way
     from 4,301 digits on. Raises CadenzaError if it is something else; the message begins with
     `what` it was to be.
     """
-    if not _WHOLE.fullmatch(text) or not least <= (number := int(text)) <= most:
-        raise CadenzaError(f"{what} {quoted(text)}; expected a whole number, {least:,} to {most:,}")
+    if not _WHOLE.fullmatch(text) or not low <= (number := int(text)) <= high:
+        raise CadenzaError(f"{what} {quoted(text)}; expected a whole number, {low:,} to {high:,}")
     return number
 
 
-def number_in(text: str, what: str, least: float, most: float) -> float:
-    """The number from `least` to `most` that a file or a user writes as `text`.
+def number_in(text: str, what: str, low: float, high: float) -> float:
+    """The number from `low` to `high` that a file or a user writes as `text`.
 
     Raises CadenzaError if it is something else, also nan; the message begins with `what` it was to
     be.
     """
-    if not _DECIMAL.fullmatch(text) or not least <= (number := float(text)) <= most:
-        raise CadenzaError(f"{what} {quoted(text)}; expected a number, {least:,g} to {most:,g}")
+    if not _DECIMAL.fullmatch(text) or not low <= (number := float(text)) <= high:
+        raise CadenzaError(f"{what} {quoted(text)}; expected a number, {low:,g} to {high:,g}")
     return number
 
 
@@ -383,7 +383,7 @@ class ArrayOf(NamedTuple):
     needed: bool = False
     finite: bool = False
     within: tuple[Any, Any] | None = None
-    """Least and most of its values: numbers, or arrays that broadcast with it."""
+    """Minimum and maximum of its values: numbers, or arrays that broadcast with it."""
 
     def __str__(self) -> str:
         sizes = "" if self.shape is None else f" of shape ({', '.join(map(str, self.shape))})"
@@ -395,10 +395,12 @@ Expected = Mapping[str, ArrayOf]
 ANY: Expected = {"*": ArrayOf(NUMBERS + TEXT, None)}
 
 
-def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict[str, NDArray[Any]]:
+def read_arrays(
+    path: Path, expected: Expected, max_bytes: int | None = None
+) -> dict[str, NDArray[Any]]:
     """Read the `expected` arrays of a .npz file by name; nothing in it is executed.
 
-    They may take `most` bytes together, by default as many as the file. Raises CadenzaError if the
+    They may take `max_bytes` together, by default as many as the file. Raises CadenzaError if the
     file is not there, is no such file, holds more, or something else.
     """
     try:
@@ -406,7 +408,7 @@ def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict
             size = stream.seek(0, os.SEEK_END)
             members = {m.filename.removesuffix(".npy"): m.file_size for m in file.zip.infolist()}
             sizes = {name: n for name, n in members.items() if first_fitting(name, expected)}
-            total, limit = sum(sizes.values()), size if most is None else most
+            total, limit = sum(sizes.values()), size if max_bytes is None else max_bytes
             if total > limit:
                 raise CadenzaError(
                     f"its arrays would take {total / 2**20:,.0f} MiB, but such a file "
@@ -444,31 +446,31 @@ def _digest(arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> str:
 
 
 def write_tensors(
-    path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = None, most: int | None = None
+    path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = None, max_bytes: int | None = None
 ) -> None:
     """Write a .safetensors file as a whole or not at all; see `tensor_bytes`.
 
-    Raises CadenzaError if the file would take over `most` bytes, and could not be read again.
+    Raises CadenzaError if the file would take over `max_bytes`, and could not be read again.
     """
     content = tensor_bytes(arrays, facts)
-    if most is not None and len(content) > most:
+    if max_bytes is not None and len(content) > max_bytes:
         raise CadenzaError(
             f"{path}: would take {len(content) >> 20:,} MiB; such a file holds up to "
-            f"{most >> 20:,} MiB"
+            f"{max_bytes >> 20:,} MiB"
         )
     with write_atomically(path) as file:
         file.write(content)
 
 
 def read_tensors(
-    path: Path, expected: Expected, most: int
+    path: Path, expected: Expected, max_bytes: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Read the arrays of a .safetensors file by name, and the facts in its header.
 
-    It may hold the `expected` arrays, and take `most` bytes. Raises CadenzaError if the file is not
+    It may hold the `expected` arrays, and take `max_bytes`. Raises CadenzaError if the file is not
     there, is no such file, was damaged or changed, or holds more or something else.
     """
-    content = content_of(path, most)
+    content = content_of(path, max_bytes)
     try:
         arrays: dict[str, NDArray[Any]] = safetensors.numpy.load(content)
         size = int.from_bytes(content[:8], "little")  # of the header, which has just been checked
@@ -504,9 +506,9 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: 
         if form.finite and not np.isfinite(array).all():
             raise CadenzaError(f"{where}: {name} holds numbers that are not finite; {_ANOTHER}")
         if form.within is not None:
-            least, most = form.within
-            if not ((array >= least) & (array <= most)).all():
-                raise CadenzaError(f"{where}: {name} is not within {least} and {most}; {_ANOTHER}")
+            low, high = form.within
+            if not ((array >= low) & (array <= high)).all():
+                raise CadenzaError(f"{where}: {name} is not within {low} and {high}; {_ANOTHER}")
 
 
 def first_fitting(name: str, by_pattern: Mapping[str, T]) -> T | None:

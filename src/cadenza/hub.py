@@ -30,7 +30,7 @@ class Kind:
     name: str  # the kind in words
     repo_type: Literal["model", "dataset"]
     files: tuple[str, ...]  # patterns of the names of its files; `*` stands for any part of a name
-    most: int  # bytes that they may take together
+    max_bytes: int  # that they may take together
 
 
 def is_on_hub(place: object) -> bool:
@@ -121,10 +121,10 @@ def _check_size(place: str, sizes: dict[str, int | None], kind: Kind) -> None:
     own = [size or 0 for name, size in sizes.items() if _is_of(kind, name)]
     if not own:
         raise CadenzaError(f"{place}: holds no {kind.name} of Cadenza; name another")
-    if sum(own) > kind.most:
+    if sum(own) > kind.max_bytes:
         raise CadenzaError(
             f"{place}: its files take {sum(own) / 2**20:,.0f} MiB, but no {kind.name} takes more "
-            f"than {kind.most / 2**20:,.0f} MiB; name another"
+            f"than {kind.max_bytes / 2**20:,.0f} MiB; name another"
         )
 
 

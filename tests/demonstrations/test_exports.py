@@ -320,7 +320,7 @@ def test_the_current_folder_can_be_written_to(made, tmp_path, monkeypatch):
 
 
 def test_minari_is_given_so_many_steps_at_once_whatever_episodes_they_are_of():
-    batches = list(minari_export.batched(range(1, 7), [9, 4, 6, 1, 30, 2, 3], most=10))
+    batches = list(minari_export.batched(range(1, 7), [9, 4, 6, 1, 30, 2, 3], max_steps=10))
     assert batches == [range(1, 3), range(3, 4), range(4, 5), range(5, 7)]
 
 

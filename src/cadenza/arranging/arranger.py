@@ -6,7 +6,7 @@ from functools import cache
 from itertools import pairwise
 
 from cadenza.arranging.fidelity import NOTHING_LOST, Fate, Fidelity, fates_of, fidelity_of
-from cadenza.arranging.moments import SHORTEST, SongMoment, beats_of, moments_of
+from cadenza.arranging.moments import MIN_LENGTH, SongMoment, beats_of, moments_of
 from cadenza.arranging.parts import TOGETHER, sources_of
 from cadenza.arranging.reduction import Held, OneHand, Struck, reduced
 from cadenza.fingering.difficulty import EASIEST, FITTED, HARDEST, features_of
@@ -20,7 +20,7 @@ from cadenza.music.score import Note, Score, chords
 # most a share of the note.
 _LIFT, _LIFT_SHARE = 0.08, 0.3
 _SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
-# Costs of a note of the harmony, of which the least is searched for that makes a song easy enough.
+# Costs of a note of the harmony; the smallest one that makes a song easy enough is used.
 _COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
 
 
@@ -31,21 +31,21 @@ class Arranged:
     score: Score  # the notes that the hands play
     fidelity: Fidelity  # how much of the song is left
     grade: float  # the difficulty, from 1 to 10
-    fates: tuple[Fate, ...] = ()  # what became of each note of the song; those in unison are one
+    fates: tuple[Fate, ...] = ()  # the fate of each note of the song; notes in unison are one
 
 
 class Arranger:
     """An arranger of songs for the same hands."""
 
     def __init__(self, players: Players, times: JumpTimes) -> None:
-        """Take the hands, and how long they take to jump."""
+        """Take the hands and the times of their jumps."""
         self._players, self._times = players, times
         self._hands = OneHand(RIGHT, players, times), OneHand(LEFT, players, times)
 
     def arrange(self, score: Score, grade: float = HARDEST) -> Arranged:
-        """The arrangement that keeps most of a song, of those not harder than a grade, 1 to 10.
+        """The arrangement that keeps most of a song without being harder than a grade, 1 to 10.
 
-        If even the melody and the bass are harder, they are what is played.
+        If even the melody and the bass are harder, they are played alone.
         """
         if not score.notes:
             return Arranged(score, NOTHING_LOST, EASIEST)
@@ -53,21 +53,19 @@ class Arranger:
         moments = moments_of(song, beats)
 
         @cache
-        def arranged(which: int) -> Arranged:
-            """The arrangement with this one of the costs."""
-            struck, fingered = self._struck(score, moments, _COSTS[which])
+        def arranged(cost: float) -> Arranged:
+            struck, fingered = self._struck(score, moments, cost)
             held = held_as_possible(fingered, self._players, self._times)
             fates, reached = fates_of(song, struck), FITTED.grade(features_of(held))
             return Arranged(held.without_fingers(), fidelity_of(fates, held, beats), reached, fates)
 
-        costs = range(len(_COSTS))
-        easy = (which for which in costs if arranged(which).grade <= grade)
-        return arranged(next(easy, costs[-1]))
+        easy = (cost for cost in _COSTS if arranged(cost).grade <= grade)
+        return arranged(next(easy, _COSTS[-1]))
 
     def _struck(
         self, score: Score, moments: Sequence[SongMoment], cost: float
     ) -> tuple[list[Struck], Score]:
-        """What the hands strike, the harmony at a `cost` a note, and its score with fingers."""
+        """The notes that the hands strike, the harmony at a `cost` a note, and their score."""
         struck, early_ends = reduced(moments, self._hands, cost)
         fingered, dropped = find_fingering(_score(score, struck, early_ends), self._players)
         if dropped:
@@ -78,7 +76,7 @@ class Arranger:
 
 
 def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[Held]) -> Score:
-    """The score of what is struck, in which some notes end early."""
+    """The score of struck notes, some of which end early."""
     ends: dict[tuple[float, int], float] = {}
     for early in early_ends:
         key = early.start, early.pitch
@@ -89,7 +87,7 @@ def _score(score: Score, struck: Iterable[Struck], early_ends: Sequence[Held]) -
         end = min(each.end, ends.get((each.time, each.pitch), each.end))
         softer = _SOFTER if not source.melody and not source.bass else 1.0
         velocity = max(round(softer * source.velocity), 1)
-        end = max(end, each.start + SHORTEST)
+        end = max(end, each.start + MIN_LENGTH)
         note = Note(each.start, end, each.pitch, velocity, hands=source.hands)
         same_pitch = by_pitch.setdefault(each.pitch, [])
         if same_pitch:
@@ -112,8 +110,8 @@ _MAX_JUMP = 1.0  # [s]
 def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
     """A score with fingers, whose notes end where their hand has to go to others.
 
-    A hand leaves keys for those that it does not reach from there as early as the jump takes; a
-    finger leaves its key for another. Notes without a finger stay as they are.
+    A hand leaves its keys early enough to jump to keys beyond its reach; a finger leaves its key
+    for another. Notes without a finger stay as they are.
     """
     notes = list(score.notes)
     for hand in range(len(SIDES)):
@@ -127,7 +125,7 @@ def held_as_possible(score: Score, players: Players, times: JumpTimes) -> Score:
 def _end_for_jumps(
     notes: list[Note], struck: Sequence[list[int]], hand: int, players: Players, times: JumpTimes
 ) -> None:
-    """End notes whose hand does not reach from there the notes of the indices `struck`."""
+    """End notes whose hand has to jump to the notes of the indices `struck`."""
     y, reach = players.key_y(hand), players.reach
     key = [note.pitch - players.keyboard.lowest_pitch for note in notes]
     finger = [_index(note.finger) for note in notes]
@@ -173,4 +171,4 @@ def _end(notes: list[Note], i: int, time: float) -> None:
     """End a note at a time, if it is later, but not before it has been heard."""
     note = notes[i]
     if note.end > time:
-        notes[i] = replace(note, end=max(time, min(note.start + SHORTEST, note.end)))
+        notes[i] = replace(note, end=max(time, min(note.start + MIN_LENGTH, note.end)))

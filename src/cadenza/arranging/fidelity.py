@@ -1,4 +1,4 @@
-"""How much of a song is left in an arrangement of it."""
+"""The fidelity of an arrangement to its song."""
 
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
@@ -14,15 +14,15 @@ from cadenza.music.score import OCTAVE, Note, Score
 
 
 class Fate(NamedTuple):
-    """What became of a note of a song in an arrangement of it."""
+    """The fate of a note of a song in an arrangement of it."""
 
-    # The note as written; of one that is struck again while it sounds, from then on
+    # The note as written; if it is struck again while it sounds, from then on
     note: SourceNote
     played: int | None  # the pitch at which it is played; None if it is left out
 
     @property
     def as_json(self) -> dict[str, Any]:
-        """What `arrangement.json` has of it, and pages show."""
+        """The entry of `arrangement.json`, which pages show."""
         note = self.note
         part = "melody" if note.melody else "bass" if note.bass else "harmony"
         times = {"start": round(note.start, 4), "end": round(note.end, 4)}
@@ -33,7 +33,7 @@ class Fate(NamedTuple):
 
 @dataclass(frozen=True)
 class Fidelity:
-    """How much of a song is left in an arrangement."""
+    """The parts of a song that are left in an arrangement."""
 
     melody_kept: float  # share of the notes of the melody that are played
     bass_kept: float  # share of the notes of the bass that are played, in any octave
@@ -45,7 +45,7 @@ class Fidelity:
     notes_added: int  # number of notes that are struck again while they sound
 
     def __str__(self) -> str:
-        """What was done, in words."""
+        """A description in words."""
         changed = self.notes_moved or self.notes_added
         if self.melody_kept == self.bass_kept == self.others_kept == 1 and not changed:
             return "all notes kept"
@@ -53,7 +53,7 @@ class Fidelity:
         summary = f"{melody} of the melody, {bass} of the bass"
         if self.melody_kept == self.bass_kept == 1:
             summary = "melody and bass whole"
-        summary += f", {_whole(self.others_kept)} of the other notes"
+        summary += f", {_percent(self.others_kept)} of the other notes"
         if self.notes_moved:
             summary += f", {self.notes_moved} moved by octaves"
         if self.notes_added:
@@ -70,13 +70,13 @@ def _in_words(share: float) -> str:
     return f"{int(1000 * share) / 1000:.1%}"  # never 100 %
 
 
-def _whole(share: float) -> str:
+def _percent(share: float) -> str:
     percent = round(100 * share)
     return f"{min(percent, 99) if share < 1 else percent}%"  # 100 % only where all are played
 
 
 def fates_of(song: Sequence[SourceNote], struck: Iterable[Struck]) -> tuple[Fate, ...]:
-    """What became of each note of a song, and the notes that were struck again, by their start."""
+    """The fates of all notes of a song, and of notes that were struck again, by their start."""
     played = {each.source: each.pitch for each in struck}
     added = [source for source in played if source.added]
     notes = sorted((*song, *added), key=lambda note: (note.start, note.pitch))

@@ -1,8 +1,8 @@
-"""How much notes are like a melody.
+"""The likeness of notes to a melody.
 
-A melody is sung or played alone, moves mostly by steps, in rhythms that are not the same in each
-bar, and in a range that a voice has. The weights were chosen on songs for bands, those of
-the benchmark up to band-1024.
+A melody is sung or played alone, moves mostly by steps, in rhythms that differ from bar to bar, and
+in the range of a voice. The weights were chosen on songs for bands, those of the benchmark up to
+band-1024.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _STEP = 4  # [semitones] a step, or a small leap
 _SAME_GAP = 0.08  # [s] between gaps that are felt as different
 _SINGABLE = 4.0  # [1/s] notes
 _VOICE, _COMFORTABLE = 69.0, 10.0  # the middle of the melodies' range, and its half [semitones]
-_MUCH, _LOUDER = 0.6, 20.0  # share from which on repetition counts; velocity that is worth one
+_USUAL, _LOUDER = 0.6, 20.0  # share above which repetition counts; velocity that is worth one
 _PITCHES = 4, 10  # different pitches: few, and many
 _GAPS = 6  # different gaps that are many
 _TOGETHER = 0.8  # share of the notes of two lines that begin together, if one follows the other
@@ -58,10 +58,10 @@ class Line(NamedTuple):
 
     start: Array
     pitch: Array
-    single: Array  # 1 for those that begin alone
-    overlapped: Array  # 1 for those that sound on when the next begins
+    single: Array  # 1 for notes that begin alone
+    overlapped: Array  # 1 for notes that sound on when the next begins
     velocity: Array
-    again: Array  # 1 for those that begin where, in the bar before, a note begins too
+    again: Array  # 1 for notes that begin where a note begins in the bar before, too
 
     @classmethod
     def of(cls, notes: Sequence[Note], bars: Array) -> Line:
@@ -113,9 +113,9 @@ class Line(NamedTuple):
 
 
 def likeness_by_name(name: str, instrument: str) -> float:
-    """How much a part is called like a melody, by its name and instrument."""
+    """The likeness of a part to a melody by its name and instrument."""
     instrument, name = instrument.lower(), name.lower()
-    if name == instrument:  # then nobody has given it a name
+    if name == instrument:  # it has no name of its own
         name = ""
     likeness = _NAME * (bool(_CALLED_MELODY.search(name)) - bool(_CALLED_OTHERWISE.search(name)))
     likeness += _INSTRUMENT * bool(_SOLO.search(instrument))
@@ -124,8 +124,8 @@ def likeness_by_name(name: str, instrument: str) -> float:
 
 
 def _excess(share: float) -> float:
-    """How far a share is above what is usual, from 0 to 1."""
-    return max(share - _MUCH, 0.0) / (1 - _MUCH)
+    """The excess of a share over the usual one, from 0 to 1."""
+    return max(share - _USUAL, 0.0) / (1 - _USUAL)
 
 
 def _near(times: Array, sorted_times: Array, seconds: float) -> NDArray[np.bool_]:

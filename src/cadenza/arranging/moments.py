@@ -12,11 +12,11 @@ from cadenza.arranging.parts import TOGETHER, SourceNote
 from cadenza.music.notation.beats import estimated_bars
 from cadenza.music.score import MIDI_PITCHES, Score, chords
 
-SHORTEST = 0.05  # the least length of a note that ends early [s]
+MIN_LENGTH = 0.05  # of a note that ends early [s]
 _USUAL_BEAT = 0.5  # [s] where a song has a single one
-_PARTS = 2  # of a beat, at which notes may be struck though none is written there
+_PARTS = 2  # of a beat, at which notes may be struck even if none is written there
 _APART = 0.1  # [s] from such a moment to others
-_WORTH = 0.15  # [s] before its end a note of an earlier beat is not worth striking any more
+_MIN_REST = 0.15  # [s] that a note of an earlier beat must go on for to be worth striking
 
 
 class SongMoment(NamedTuple):
@@ -27,7 +27,7 @@ class SongMoment(NamedTuple):
     melody: tuple[SourceNote, ...]  # the notes of the melody, the highest first
     bass: tuple[SourceNote, ...]  # the notes of the bass, the lowest first
     harmony: tuple[SourceNote, ...]  # the other notes that begin, by pitch
-    # Notes of the harmony that began before, in this beat or such that they sound on, by pitch
+    # Notes of the harmony that began before, and in this beat or still sounding, by pitch
     sounding: tuple[SourceNote, ...]
     ceiling: int  # the highest pitch to which notes may be moved: that of the melody
     floor: int  # the lowest pitch to which notes may be moved: that of the bass
@@ -54,7 +54,7 @@ def moments_of(notes: Sequence[SourceNote], beats: Sequence[float]) -> list[Song
     for time, group in _groups(notes, beats):
         beat = bisect_right(beats, time + TOGETHER) - 1
         since = beats[beat] - TOGETHER
-        sounding = [n for n in sounding if n.end > time + _WORTH or n.start > since]
+        sounding = [n for n in sounding if n.end > time + _MIN_REST or n.start > since]
         inner = sorted((n for n in group if not n.melody and not n.bass), key=attrgetter("pitch"))
         moments.append(
             SongMoment(

@@ -1,4 +1,4 @@
-"""The notes of a song, and which of them are melody and bass.
+"""The notes of a song, divided into melody, bass and harmony.
 
 From part to part the melody may move, and so may the bass: each part has a likeness to a melody,
 and to a bass, in each stretch of the song. The best sequence of parts over the stretches is found
@@ -21,16 +21,16 @@ Array = NDArray[np.float64]
 
 TOGETHER = 0.04
 """Time within which notes begin at one moment [s]: people in a band are less exact than one."""
-_STRETCH = 2.0  # [s] the least length over which one part has the melody, or the bass
-_AROUND = 4.0  # [s] before and after a stretch that are looked at with it
+_MIN_STRETCH = 2.0  # [s] over which one part has the melody, or the bass
+_CONTEXT = 4.0  # [s] before and after a stretch that count for it, too
 _CHANGE = 4.0  # cost of melody or bass going to another part
 _ABSENT_MELODY, _ABSENT_BASS = 3.0, 6.0  # cost of a part that has it and does not play
-_FOLLOWS = 3.0  # how much less a second voice is like a melody
+_FOLLOWS = 3.0  # by which a second voice is less like a melody
 _CALLED, _LOW, _SEMITONES = 3.0, 40.0, 6.0  # a bass is called so; so much lower is worth 1
 
 
 class SourceNote(NamedTuple):
-    """A note of the song: `start` and `end` [s], and what it is for."""
+    """A note of the song from `start` to `end` [s], and its role."""
 
     start: float
     end: float
@@ -52,11 +52,11 @@ class _InstrumentPart:
 
 
 def sources_of(score: Score) -> list[SourceNote]:
-    """The notes of all parts of a song, of which each has the melody and the bass in stretches.
+    """The notes of all parts of a song; in each stretch, one part has the melody, one the bass.
 
-    A score without tracks is one part, of which the highest notes are the melody and the lowest
-    the bass. Of notes that double another in unison one is left. Where the accompaniment strikes a
-    key that the melody holds, the melody goes on.
+    A score without tracks is one part, whose highest notes are the melody and whose lowest are the
+    bass. One of several notes in unison is left. Where the accompaniment strikes a key that the
+    melody holds, the melody goes on.
     """
     parts = _parts(score)
     if not parts:
@@ -88,9 +88,11 @@ def _parts(score: Score) -> list[_InstrumentPart]:
 def _stretches(score: Score) -> list[float]:
     """The times at which stretches of one bar or more begin, the first at the beginning [s]."""
     edges = [0.0]
-    times = [bar.time for bar in score.bars] or np.arange(0, score.total_time, _STRETCH).tolist()
+    times = [bar.time for bar in score.bars] or np.arange(
+        0, score.total_time, _MIN_STRETCH
+    ).tolist()
     for time in times:
-        if time >= edges[-1] + _STRETCH:
+        if time >= edges[-1] + _MIN_STRETCH:
             edges.append(time)
     return edges
 
@@ -157,7 +159,7 @@ def _melody_likeness(
         always = likeness_by_name(part.name, part.instrument)
         always -= _FOLLOWS * any(line.follows(other) for other in lines if other is not line)
         for j, edge in enumerate(edges):
-            near = line.between(edge - _AROUND, edge + _STRETCH + _AROUND)
+            near = line.between(edge - _CONTEXT, edge + _MIN_STRETCH + _CONTEXT)
             likeness[i, j] = always + near.likeness(loudness) if len(near.start) else 0.0
     return likeness * active - _ABSENT_MELODY * (1 - active)
 
@@ -173,7 +175,7 @@ def _bass_likeness(parts: Sequence[_InstrumentPart], edges: Sequence[float]) -> 
 def _activity(parts: Sequence[_InstrumentPart], edges: Sequence[float]) -> Array:
     """(P, S) twice the share of each stretch in which each part sounds, at most 1."""
     last = max(note.end for part in parts for note in part.notes)
-    bounds = np.array([*edges, max(last, edges[-1] + _STRETCH)])
+    bounds = np.array([*edges, max(last, edges[-1] + _MIN_STRETCH)])
     activity = np.zeros((len(parts), len(edges)))
     for row, part in zip(activity, parts, strict=True):
         for note in part.notes:

@@ -1,8 +1,8 @@
-"""The reduction of a song to what two hands can play, by a beam search.
+"""The reduction of a song to notes that two hands can play, by a beam search.
 
 From moment to moment each hand strikes some of the notes that begin, and holds what it can. A state
-of the search is what both hands hold, and which pitch classes have sounded in this beat. A
-transition is worth the sum over the notes that are struck, less what it costs the hands. The best
+of the search has the keys that both hands hold, and the pitch classes that have sounded in this
+beat. The value of a transition is the sum over struck notes, less the costs of the hands. The best
 states of each moment are kept (the beam); the best sequence of states is the reduction.
 
 Fidelity under a bound on difficulty, melody and bass before all others, follows Nakamura and
@@ -19,7 +19,7 @@ from heapq import nsmallest
 from itertools import product
 from typing import NamedTuple
 
-from cadenza.arranging.moments import SHORTEST, SongMoment
+from cadenza.arranging.moments import MIN_LENGTH, SongMoment
 from cadenza.arranging.parts import TOGETHER, SourceNote
 from cadenza.fingering.players import Players, ways_to_hold
 from cadenza.fingers import LEFT, RIGHT
@@ -30,34 +30,34 @@ _BEAM = 6  # states that are kept; more cost time and change little
 _MAX_HARMONY = 3  # notes that a hand adds to melody or bass
 _SHIFTS = 0, -OCTAVE, OCTAVE, -2 * OCTAVE, 2 * OCTAVE
 _LONG_AGO = -10.0  # [s]
-_MIN_HELD = 0.03  # [s] for which a hand holds what it strikes
-_FASTEST_REPETITION = 0.1  # [s]
+_MIN_HELD = 0.03  # [s] for which a hand holds struck keys
+_MIN_REPETITION = 0.1  # [s]
 _MIN_LATE = 0.15  # [s] for which a note sounds that is struck late
 # [s] in which C4 (MIDI 60) falls by 20 dB on a piano. It decays at first by 10 dB a second, C2 by 2
 # and C7 by 80 (Bensa et al., JASA 114, 2003), then more slowly (Weinreich, JASA 62, 1977).
-_LASTS, _LASTING = 3.6, 60
+_DECAY, _DECAY_PITCH = 3.6, 60
 _BUSY = 0.2  # [s] after which a hand that strikes again is busy
 
-# What notes are worth, and what they cost; 1 is a pitch class that sounds in a beat.
+# Values and costs of notes; 1 is a pitch class that sounds in a beat.
 _MELODY, _BASS, _MOVED_BASS = 12.0, 6.0, 4.0  # values; that of a bass note an octave higher
 _NEW, _AGAIN = 1.0, 0.4  # values of the first note of a pitch class in a beat, and of others
 _LATE = 0.15  # cost of striking a note later than written, or again
 _MOVED = 0.3  # cost of every octave by which a note is moved
 # Cost of ending a note, and one of the melody, as soon as it begins; less if it ends later.
 _EARLY, _EARLY_MELODY = 0.6, 4.0
-_HASTE = 30.0  # cost of a jump that takes all the time there is; with the square of the share
+_HASTE = 30.0  # cost of a jump that takes all available time; by the square of the share
 _BUSY_COST = 0.6  # cost of each further note that a hand strikes at once `_BUSY` after others
 
 
-_EASY = 0.85  # of the reach that is counted on in chords: at its end, inner fingers press badly
-_OCTAVE = 2  # notes, for which all of it is
+_EASY = 0.85  # share of the reach used in chords: at its end, inner fingers press badly
+_TWO_NOTES = 2  # for which all of it is used
 
 
 class OneHand:
     """One hand of the players."""
 
     def __init__(self, hand: int, players: Players, times: JumpTimes) -> None:
-        """Take which hand it is, the players, and the times that their hands take to jump."""
+        """Take the number of the hand, the players, and the times of their jumps."""
         keyboard = players.keyboard
         self.is_there = players.forearm(hand) is not None
         self._lowest, self._num_keys = keyboard.lowest_pitch, len(keyboard.grid_y)
@@ -78,7 +78,7 @@ class OneHand:
     def _fits(self, pitches: tuple[int, ...]) -> bool:
         """Whether the hand can hold keys at once, by their pitches from the lowest on."""
         keys = [pitch - self._lowest for pitch in pitches]
-        spans = self._spans if len(keys) <= _OCTAVE else self._spans_of_chord
+        spans = self._spans if len(keys) <= _TWO_NOTES else self._spans_of_chord
         if not all(map(self.reaches, pitches)):
             return False
         return any(True for _ in ways_to_hold(keys[:: self._outwards], self._reaches, spans))
@@ -94,7 +94,7 @@ class OneHand:
 
 
 class Held(NamedTuple):
-    """A key that is down: since and until when [s], and whether it has the melody."""
+    """A key that is down from `start` to `end` [s], and whether it has the melody."""
 
     pitch: int
     start: float
@@ -107,7 +107,7 @@ class Grip(NamedTuple):
 
     held: tuple[Held, ...] = ()  # the keys that it holds, from the lowest on
     struck: tuple[int, ...] = ()  # the pitches that it struck last
-    time: float = _LONG_AGO  # when it did [s]
+    time: float = _LONG_AGO  # the time at which it struck them [s]
 
     def still_held(self, time: float) -> list[Held]:
         """The keys that it holds at a time."""
@@ -115,7 +115,7 @@ class Grip(NamedTuple):
 
 
 class Struck(NamedTuple):
-    """A note that is played: at which moment [s], its source, and its pitch."""
+    """A note that is played: the moment [s], its source, and its pitch."""
 
     time: float
     source: SourceNote
@@ -123,12 +123,12 @@ class Struck(NamedTuple):
 
     @property
     def late(self) -> bool:
-        """Whether its source has begun before: it is of a broken chord, or struck again."""
+        """Whether its source has begun before, in a broken chord or to be struck again."""
         return self.time > self.source.start + TOGETHER
 
     @property
     def start(self) -> float:
-        """When it is struck [s]: at the moment or, of notes that begin then, as written."""
+        """When it is struck [s]: at the moment, or as written if it begins then."""
         return max(self.time, self.source.start)
 
     @property
@@ -138,16 +138,16 @@ class Struck(NamedTuple):
 
 
 class Action(NamedTuple):
-    """What one hand does at a moment."""
+    """The action of one hand at a moment."""
 
     hand: Grip  # the hand afterwards
     struck: tuple[Struck, ...]
-    early_ends: tuple[Held, ...]  # the keys that it leaves early, and when
+    early_ends: tuple[Held, ...]  # the keys that it leaves early, with their new ends
     cost: float
 
 
 class ReductionState(NamedTuple):
-    """A state of the search: the least cost of getting there, and from where."""
+    """A state of the search, with its least cost and its predecessor."""
 
     cost: float
     hands: tuple[Grip, Grip]
@@ -159,9 +159,9 @@ class ReductionState(NamedTuple):
 def reduced(
     moments: Sequence[SongMoment], hands: tuple[OneHand, OneHand], cost: float
 ) -> tuple[list[Struck], list[Held]]:
-    """The notes that the hands play of these moments, and those of them that end early.
+    """The notes that the hands play of these moments, and the ends of notes that end early.
 
-    What is played becomes easier with the `cost` of every note of the harmony.
+    The reduction becomes easier with the `cost` of every note of the harmony.
     """
     beam = [ReductionState(0.0, (Grip(), Grip()), frozenset(), (), None)]
     for moment in moments:
@@ -194,7 +194,7 @@ def _again(struck: Iterable[Struck]) -> Iterator[Struck]:
 def _successors(
     state: ReductionState, moment: SongMoment, hands: tuple[OneHand, OneHand], cost: float
 ) -> Iterator[ReductionState]:
-    """Yield the states after a moment, by what each hand strikes."""
+    """Yield the states after a moment, for all actions of both hands."""
     classes = state.classes
     if moment.begins_beat:
         held_keys = (held for hand in state.hands for held in hand.still_held(moment.time))
@@ -217,18 +217,15 @@ def _successors(
 
 def _collide(right: Action, left: Action) -> bool:
     """Whether the hands would cross, or both play the same note."""
-    if (
-        right.hand.held
-        and left.hand.held
-        and (left.hand.held[-1].pitch >= right.hand.held[0].pitch)
-    ):
+    high, low = right.hand.held, left.hand.held
+    if high and low and low[-1].pitch >= high[0].pitch:
         return True
     sources = {struck.source for struck in right.struck}
     return any(struck.source in sources for struck in left.struck)
 
 
 def _value(struck: Struck, classes: frozenset[int], cost: float) -> float:
-    """What a note is worth that is struck when these pitch classes sounded, less its `cost`."""
+    """The value of a struck note after these pitch classes, less its `cost`."""
     note, moved = struck.source, abs(struck.pitch - struck.source.pitch) // OCTAVE
     if note.melody:
         return _MELODY
@@ -242,16 +239,16 @@ def _value(struck: Struck, classes: frozenset[int], cost: float) -> float:
 
 def _has_died_away(held: Held, time: float) -> bool:
     """Whether a tone of a piano would have died away by a time [s]: strike it again."""
-    return time - held.start > _LASTS * 2 ** ((_LASTING - held.pitch) / OCTAVE)
+    return time - held.start > _DECAY * 2 ** ((_DECAY_PITCH - held.pitch) / OCTAVE)
 
 
 class _HandAtMoment:
-    """What one hand may do at one moment: the right hand has the melody, the left the bass."""
+    """One hand at one moment: the right hand has the melody, the left the bass."""
 
     def __init__(
         self, hand: int, before: Grip, moment: SongMoment, one: OneHand, classes: frozenset[int]
     ) -> None:
-        inwards = -1 if hand == RIGHT else 1  # so that hands share what begins
+        inwards = -1 if hand == RIGHT else 1  # so that hands share the notes that begin
         written, late = moment.harmony[::inwards], moment.sounding[::inwards]
         new = [n for n in (*written, *late) if n.pitch % OCTAVE not in classes]
         self._harmony = [*new, *(n for n in written if n.pitch % OCTAVE in classes)]
@@ -260,7 +257,7 @@ class _HandAtMoment:
         self._own = moment.melody if hand == RIGHT else moment.bass
 
     def actions(self) -> Iterator[Action]:
-        """Yield nothing to strike, and what the hand has time to strike."""
+        """Yield all actions for which the hand has time, first to strike nothing."""
         yield Action(self._before._replace(held=tuple(self._held)), (), (), 0.0)
         if self._one.is_there:
             for struck in self._choices():
@@ -315,14 +312,14 @@ class _HandAtMoment:
         return None
 
     def _action(self, struck: tuple[Struck, ...]) -> Action | None:
-        """What the hand does to strike these notes; None if it has no time for it."""
+        """The action that strikes these notes; None if the hand has no time for it."""
         time, before = self._moment.time, self._before
         pitches = tuple(sorted(each.pitch for each in struck))
         kept = self._kept(pitches)
         elapsed, jump = time - before.time, 0.0
         if before.struck:
             jump = self._one.jump_time(before.struck, pitches, bool(kept))
-            repeats = elapsed < _FASTEST_REPETITION and not set(before.struck).isdisjoint(pitches)
+            repeats = elapsed < _MIN_REPETITION and not set(before.struck).isdisjoint(pitches)
             if repeats or jump > elapsed - _MIN_HELD:
                 return None
         cost = _HASTE * (jump / elapsed) ** 2
@@ -342,10 +339,10 @@ class _HandAtMoment:
         return kept
 
     def _left_early(self, kept: list[Held], leave: float) -> Iterator[tuple[Held, float]]:
-        """Yield keys that are not kept and that the hand leaves too early, and when it does."""
+        """Yield keys that are not kept and left too early, each with its new end [s]."""
         for held in self._before.held:
             if held not in kept and held.end > leave:
-                yield held, max(leave, held.start + SHORTEST)
+                yield held, max(leave, held.start + MIN_LENGTH)
 
     def _early_cost(self, held: Held, end: float) -> float:
         """The cost of leaving a key before its note is over."""

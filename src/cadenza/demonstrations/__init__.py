@@ -1,1 +1,1 @@
-"""Recorded demonstrations: what is kept of an episode, and how learners read it."""
+"""Recorded demonstrations: files of episodes, and batches for learners."""

@@ -1,4 +1,4 @@
-"""Reads recorded demonstrations: batches of steps with their goals, from mapped files.
+"""Recorded demonstrations as batches of steps with their goals, from mapped files.
 
 from cadenza.demonstrations.dataset import open_dataset
 
@@ -46,7 +46,7 @@ DATASET = Kind(
     "dataset",
     "dataset",
     (*(f"{EPISODES}/*/{name}" for name in (RESULT, STEPS, PLAN, SCORE)), f"{SONGS}/*.json"),
-    most=2**36,  # some 500 hours of music
+    max_bytes=2**36,  # some 500 hours of music
 )
 """Demonstrations as the hub keeps them."""
 _ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m, rad]
@@ -94,7 +94,7 @@ class Dataset:
     Attributes:
         episodes: E episodes.
         first: number of the first step of each (E,).
-        num_steps: The number of steps of all episodes together.
+        num_steps: the number of steps of all episodes together.
         scene: the hands and the keys.
         control_timestep: between two steps [s].
         shows_fingers: True if the task's observations say which fingers have a key to press.
@@ -138,7 +138,7 @@ class Dataset:
         return episode, steps - self.first[episode]
 
     def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> StepBatch:
-        """What there is to learn from `steps` (B,), with goals for L steps after the next.
+        """The examples of `steps` (B,), with goals for L steps after the next.
 
         There are references to the states `ahead`: 0 for the one before the step, 1 for the one
         after it, and so on; past the end of the song, its last. Raises CadenzaError if there is no
@@ -180,7 +180,7 @@ class Dataset:
     def onsets(self, steps: Ids, lookahead: int = LOOKAHEAD) -> tuple[Floats, Floats]:
         """When the notes around `steps` (B,) begin, and how loud they are, (B, L + 2, K) each.
 
-        They are those of the step before, of the next and of the L after it, as environments show
+        Notes are those of the previous step, the next one and the L after it, as environments show
         them (`cadenza.tasks.view.observed_onsets`).
         """
         episode, step = self.place(steps)
@@ -249,8 +249,8 @@ class Dataset:
 
     def _rebuild(self, episode: int) -> None:
         goals, first = self.goals(episode), int(self._first_row[episode])
-        asked = np.column_stack([goals.keys, goals.sustain])
-        self._table.bits[first : first + len(asked)] = np.packbits(asked, axis=1)
+        steps = np.column_stack([goals.keys, goals.sustain])
+        self._table.bits[first : first + len(steps)] = np.packbits(steps, axis=1)
         step, key = (goals.fingers >= 0).nonzero()
         self._table.fingers[first + step, goals.fingers[step, key]] = key
         self._notes[episode], self._joined = goals.onsets, None
@@ -258,7 +258,7 @@ class Dataset:
 
 
 class _Rows:
-    """The rows of an episode's array as bytes, which are copied faster than what they hold."""
+    """The rows of an episode's array as bytes, which are copied faster than fields."""
 
     def __init__(self, episode: RecordedEpisode, name: str, kind: np.dtype[np.void]) -> None:
         self._episode, self._name, self.kind = episode, name, kind
@@ -279,7 +279,7 @@ class _Rows:
 
 
 def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype[np.void]) -> None:
-    """Raise a CadenzaError if an array has other rows, or not as many as the episode."""
+    """Raise a CadenzaError if an array has rows of another type or number than the episode."""
     if array.dtype != kind or array.shape != (episode.facts.num_steps + 1,):
         raise CadenzaError(
             f"{episode.folder / name}: not the {episode.facts.num_steps + 1} rows of this episode; "
@@ -321,21 +321,21 @@ def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
 
 
 def _allow_open_files() -> None:
-    """Allow as many as the system does: each mapped array is one, and episodes have two."""
+    """Allow all open files that the system does, as each episode maps two."""
     try:
         import resource  # which only Unix has
     except ImportError:
         return
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(ValueError, OSError):  # where not even that is allowed
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
 
 
-def _common(episodes: Sequence[RecordedEpisode], what: str, values: Sequence[Any]) -> Any:
+def _common(episodes: Sequence[RecordedEpisode], name: str, values: Sequence[Any]) -> Any:
     for episode, value in zip(episodes, values, strict=True):
         if value != values[0]:
             raise CadenzaError(
-                f"{episode.folder}: has another {what} than {episodes[0].folder}; "
+                f"{episode.folder}: has another {name} than {episodes[0].folder}; "
                 "choose episodes that go together"
             )
     return values[0]
@@ -363,13 +363,13 @@ def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
 
 
 def open_dataset(
-    folder: str | Path, wanted: Callable[[EpisodeFacts], bool] = lambda _: True
+    folder: str | Path, is_chosen: Callable[[EpisodeFacts], bool] = lambda _: True
 ) -> Dataset:
-    """Open the episodes of a folder that were kept and are `wanted`.
+    """Open the episodes of a folder that were kept and are chosen.
 
     Raises CadenzaError if there is none, they do not go together, or a result.json is damaged.
     """
-    return Dataset([episode for episode in kept(folder) if wanted(episode.facts)])
+    return Dataset([episode for episode in kept(folder) if is_chosen(episode.facts)])
 
 
 def kept(folder: str | Path) -> list[RecordedEpisode]:

@@ -1,13 +1,13 @@
-"""Writes demonstrations as a dataset of LeRobot, format v3.0, which is Parquet and JSON.
+"""Export of demonstrations to LeRobot, format v3.0, which is Parquet and JSON.
 
-    meta/info.json                                what there is, and its shapes
-    meta/stats.json                               least, greatest, mean, deviation of each feature
+    meta/info.json                                the features and their shapes
+    meta/stats.json                               minimum, maximum, mean, deviation of each feature
     meta/tasks.parquet                            a task for each song
     meta/episodes/chunk-000/file-000.parquet      where each episode is
     data/chunk-000/file-000.parquet               the frames, many episodes a file
-    videos/NAME/chunk-000/file-000.mp4            what a camera sees in them, if it is asked for
+    videos/NAME/chunk-000/file-000.mp4            the view of a camera, if there are any
 
-The action is what the demonstrator chose, in [-1, 1]; what was played, with noise, is the next
+The action is the demonstrator's choice, in [-1, 1]; the played action, with noise, is the next
 frame's `observation.previous_action`.
 """
 
@@ -163,7 +163,7 @@ def _feature(values: NDArray[Any], names: Sequence[str] | None) -> dict[str, Any
 
 
 def _names(dataset: Dataset) -> dict[str, Sequence[str]]:
-    """What the numbers of features are called: by joint, by actuator, or by part and place."""
+    """The names of the entries of features: by joint, by actuator, or by part and place."""
     scene, layout = dataset.scene, shown_by(dataset).observation_layout
     joints, actions = scene.hand_joint_names, (*scene.actuator_names, "sustain_pedal")
     parts = {name: part.stop - part.start for name, part in layout.items() if name != "joints"}
@@ -188,19 +188,19 @@ def _task(song: str) -> str:
 
 
 def _tasks(pa: Any, songs: Sequence[str]) -> Any:
-    """The table of tasks, whose names pandas, which reads it, takes as their index."""
+    """The table of tasks, whose names are the index for pandas, which reads it."""
     table = pa.table({"task_index": range(len(songs)), "task": [_task(song) for song in songs]})
     columns: list[dict[str, Any]] = [
         {"name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
         {"name": "task", "pandas_type": "unicode", "numpy_type": "object"},
     ]
-    about = {
+    metadata = {
         "index_columns": ["task"],
         "column_indexes": [],
         "columns": [c | {"field_name": c["name"], "metadata": None} for c in columns],
         "pandas_version": "2.0.0",
     }
-    return table.replace_schema_metadata({"pandas": json.dumps(about)})
+    return table.replace_schema_metadata({"pandas": json.dumps(metadata)})
 
 
 def _stats(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, Any]]:
@@ -277,11 +277,11 @@ Floats = NDArray[np.float64]
 
 
 class Statistics(NamedTuple):
-    """Least, greatest, mean and variance (D,) of each of D columns over a number of rows."""
+    """Minimum, maximum, mean and variance (D,) of each of D columns over a number of rows."""
 
     rows: int
-    least: Floats
-    most: Floats
+    minimum: Floats
+    maximum: Floats
     mean: Floats
     variance: Floats
 
@@ -289,8 +289,8 @@ class Statistics(NamedTuple):
     def of(cls, values: NDArray[Any]) -> Statistics:
         """The statistics of values (N, ...), whose entries are the columns."""
         columns = values.reshape(len(values), -1).astype(np.float64)
-        least, most = columns.min(axis=0), columns.max(axis=0)
-        return cls(len(columns), least, most, columns.mean(axis=0), columns.var(axis=0))
+        low, high = columns.min(axis=0), columns.max(axis=0)
+        return cls(len(columns), low, high, columns.mean(axis=0), columns.var(axis=0))
 
     def merged(self, other: Statistics) -> Statistics:
         """The statistics of the rows of both, by the law of total variance."""
@@ -299,12 +299,12 @@ class Statistics(NamedTuple):
         mean = (1 - share) * self.mean + share * other.mean
         within = (1 - share) * self.variance + share * other.variance
         between = (1 - share) * (self.mean - mean) ** 2 + share * (other.mean - mean) ** 2
-        least, most = np.minimum(self.least, other.least), np.maximum(self.most, other.most)
-        return Statistics(rows, least, most, mean, within + between)
+        low, high = np.minimum(self.minimum, other.minimum), np.maximum(self.maximum, other.maximum)
+        return Statistics(rows, low, high, mean, within + between)
 
     def as_json(self, shape: tuple[int, ...] = (-1,)) -> dict[str, Any]:
         """The statistics as LeRobot keeps them, each of this shape."""
-        arrays = {"min": self.least, "max": self.most, "mean": self.mean}
+        arrays = {"min": self.minimum, "max": self.maximum, "mean": self.mean}
         arrays["std"] = np.sqrt(self.variance)
         return {name: a.reshape(shape).tolist() for name, a in arrays.items()} | {
             "count": [self.rows]
@@ -334,11 +334,8 @@ class Video:
 
         Raises CadenzaError if this machine cannot draw, or a video cannot have this size.
         """
-        if (
-            picture.width % 2
-            or picture.height % 2
-            or min(picture.width, picture.height) < _MIN_SIZE
-        ):
+        sides = picture.width, picture.height
+        if any(side % 2 or side < _MIN_SIZE for side in sides):
             raise CadenzaError(
                 f"a video of {picture.width} x {picture.height} pixels cannot be encoded: choose "
                 f"even numbers, {_MIN_SIZE} or more"
@@ -388,11 +385,11 @@ class Video:
             "from_timestamp": first / self._fps,
             "to_timestamp": self._frames / self._fps,
         }
-        row = {f"videos/{self.name}/{what}": of for what, of in place.items()}
+        row = {f"videos/{self.name}/{name}": value for name, value in place.items()}
         return row, reduce(Statistics.merged, pictures)
 
     def close(self) -> None:
-        """End the last file, and frees graphics."""
+        """End the last file, and free graphics."""
         self._end()
         self._renderer.close()
 

@@ -1,13 +1,13 @@
-"""Writes demonstrations as a dataset of Minari, Gymnasium's library for offline learning.
+"""Export of demonstrations to Minari, Gymnasium's library for offline learning.
 
-Observations and actions are those of the environment `cadenza/Piano-v0`; the actions are those that
-were played, noise and all, since they led to the next observation. What the demonstrator chose
-stands beside them, as the info `chosen_action`, and what cameras see as infos of their names.
+Observations and actions are those of the environment `cadenza/Piano-v0`. Actions are as played,
+with noise, since they led to the next observation; the demonstrator's choice is the info
+`chosen_action`, and views of cameras are infos of their names.
 
-The dataset holds all that its environment plays: the songs, and as the options of each episode its
-score and where the hands began. Reset with these options, the environment that Minari recovers
-answers the episode's actions with its observations and rewards, to the bit on the same machine.
-Observations are of the true state, and so the environment has no noise on them.
+The dataset holds the songs of its environment, and as the options of each episode its score and the
+start of the hands. Reset with these options, the environment that Minari recovers answers the
+episode's actions with its observations and rewards, to the bit on the same machine. Observations
+are of the true state, and so the environment has no noise on them.
 """
 
 import os
@@ -36,7 +36,7 @@ from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
 from cadenza.tasks.env import state_space
 
-_ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
+_ROOT = "MINARI_DATASETS_PATH"  # variable of Minari's folder of datasets
 _NAME = re.compile(r"([A-Za-z0-9_-]+/)*[A-Za-z0-9_-]+")  # Minari makes folders of it
 _UNNAMED = re.compile("[^A-Za-z0-9_-]+")
 _MAX_BATCH = 20_000  # steps that are written at once, or a longer episode
@@ -63,10 +63,10 @@ def write_minari(
     advance: Callable[[int, int], None],
     pictures: Sequence[Picture] = (),
 ) -> None:
-    """Write the dataset of that id to a folder, which MINARI_DATASETS_PATH has to name then.
+    """Write the dataset of that id to a folder, to which MINARI_DATASETS_PATH must point later.
 
-    Others may lie there. It has these `pictures` of every step, as they are: 0.7 MB each at 640 x
-    360. Raises CadenzaError if Minari is not installed, there is a dataset of that id in the
+    Other datasets may lie there. It has these `pictures` of every step, as they are: 0.7 MB each at
+    640 x 360. Raises CadenzaError if Minari is not installed, there is a dataset of that id in the
     folder, an episode is damaged, or this machine cannot draw.
     """
     with extra_packages("export", "exporting"):
@@ -88,7 +88,7 @@ def write_minari(
         def buffer(number: int) -> Any:
             return _buffer(EpisodeBuffer, dataset, number, renderers)
 
-        made = minari.create_dataset_from_buffers(
+        written_dataset = minari.create_dataset_from_buffers(
             id_,
             [buffer(0)],
             env=_environment(dataset),
@@ -102,18 +102,19 @@ def write_minari(
             data_format="parquet",
         )
         count, lengths = len(dataset.episodes), [e.facts.num_steps for e in dataset.episodes]
-        for some in batched(range(1, count), lengths, 1 if pictures else _MAX_BATCH):
-            made.update_dataset_from_buffer([buffer(number) for number in some])
-            advance(some[-1] + 1, count)
-        made.storage.update_metadata(_names(dataset))
-        made.storage.update_episode_metadata(_metadata(e.facts) for e in dataset.episodes)
+        for batch in batched(range(1, count), lengths, 1 if pictures else _MAX_BATCH):
+            written_dataset.update_dataset_from_buffer([buffer(number) for number in batch])
+            advance(batch[-1] + 1, count)
+        written_dataset.storage.update_metadata(_names(dataset))
+        metadata = (_metadata(episode.facts) for episode in dataset.episodes)
+        written_dataset.storage.update_episode_metadata(metadata)
         for part in (folder / id_).iterdir():
             part.rename(folder / part.name)
         shutil.rmtree(folder / id_.split("/")[0])
 
 
 def _names(dataset: Dataset) -> dict[str, Any]:
-    """What the numbers of observations and actions are called."""
+    """The names of the entries of observations and actions."""
     layout = shown_by(dataset).observation_layout
     return {
         "observation_layout": {name: [part.start, part.stop] for name, part in layout.items()},
@@ -123,7 +124,7 @@ def _names(dataset: Dataset) -> dict[str, Any]:
 
 
 def _environment(dataset: Dataset) -> EnvSpec:
-    """What `recover_environment` of Minari makes: it draws from all songs as was asked."""
+    """The environment that `recover_environment` of Minari makes, which draws from all songs."""
     facts = dataset.episodes[0].facts
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
     task = asdict(facts.task) | facts.job["task"] | SHOWN
@@ -178,11 +179,13 @@ def _root(folder: Path) -> Iterator[None]:
             os.environ[_ROOT] = before
 
 
-def batched(episodes: range, lengths: Sequence[int], most: int = _MAX_BATCH) -> Iterator[range]:
-    """Yield episodes that are written together: of `most` steps, or a single longer one."""
+def batched(
+    episodes: range, lengths: Sequence[int], max_steps: int = _MAX_BATCH
+) -> Iterator[range]:
+    """Yield episodes that are written together: of `max_steps`, or a single longer one."""
     first, steps = episodes.start, 0
     for episode in episodes:
-        if steps and steps + lengths[episode] > most:
+        if steps and steps + lengths[episode] > max_steps:
             yield range(first, episode)
             first, steps = episode, 0
         steps += lengths[episode]

@@ -1,13 +1,13 @@
 """The files of a recorded episode.
 
 FOLDER/steps.npy      states and actions, see `steps_type`
-FOLDER/plan.npy       where a plan has the hands, see `plan_type`
-FOLDER/score.json     what was to be played, with its fingers; goals are rebuilt from it
-FOLDER/result.json    all else that there is to know; written last
+FOLDER/plan.npy       the plan of the hands, see `plan_type`
+FOLDER/score.json     the score with its fingers; goals are rebuilt from it
+FOLDER/result.json    all other facts; written last
 songs/DIGEST.json     two folders up: the song before anything was drawn, once for all its episodes
 
-Both arrays have a row for each of T control steps and one for the state after the last. Of an
-episode that was not good enough to be kept, there is only result.json.
+Both arrays have a row for each of T control steps and one for the state after the last. An episode
+that was not good enough to be kept has only result.json.
 """
 
 import hashlib
@@ -50,7 +50,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
 
     The scene has J joints, A servos, K keys and F fingers.
 
-    The state before a step, and what came before it:
+    The state before a step, and the step before:
 
     - `hand_qpos`, `hand_qvel` (J,) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (F, 3) [m]
@@ -58,15 +58,15 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
     - `played` (A + 1,) the action of the step before, from -1 to 1, as environments take it, the
       pedal last: with the noise; 0 before the first
     - `pedal` () how far the pedal is down, from 0 to 1, as environments show it
-    - `previous_reward` () that it got, 0 before the first
+    - `previous_reward` () of that action, 0 before the first
     - `sounding` the keys that sound, as bits
     - `key_onset`, `key_velocity` (K,) when keys began to sound in the step before, and how loud,
       from 0 to 1, as environments show it (`cadenza.tasks.view.observed_key_onsets`)
 
-    And what follows, 0 in the last row, where nothing does:
+    And actions, 0 in the last row:
 
-    - `action` (A + 1,) what the demonstrator would play, without noise
-    - `tracked` (A,) what the plan and its feedback alone would play
+    - `action` (A + 1,) the demonstrator's choice, without noise
+    - `tracked` (A,) the action of the plan and its feedback alone
     """
     joints, servos = len(scene.hand_joint_names), len(scene.actuator_names)
     keys = scene.keyboard.num_keys
@@ -90,7 +90,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
 
 
 def plan_type(scene: Scene) -> np.dtype[np.void]:
-    """The type of a row of plan.npy: where the plan has the hands before a step.
+    """The type of a row of plan.npy: the planned state of the hands before a step.
 
     - `reference` (A, 2) position and speed of each servo [m, rad] and [m/s, rad/s]
     - `fingertips` (F, 3) [m]
@@ -148,7 +148,7 @@ class RecordedEpisode:
         return build_scene(self.facts.scene)
 
     def path(self, name: str) -> Path:
-        """Where one of its files is."""
+        """The path of one of its files."""
         if name == SONG:
             return _path_of_song(self.folder, self.facts.files.get(name, ""))
         return self.folder / name
@@ -222,13 +222,12 @@ def played_actions(steps: Array, scene: Scene) -> NDArray[np.float64]:
 
 
 def mapped(path: Path) -> Array:
-    """The array of an .npy file; only what is read comes into memory.
+    """Map the array of an .npy file.
 
-    Raises:
-        CadenzaError: the file is not there, or is no such file.
-        OSError: the system cannot open or map it.
+    Raises CadenzaError if the file is missing or no such file, or OSError if the system cannot open
+    or map it.
     """
-    if path.exists() and not path.is_file():  # such as a pipe that nobody writes to
+    if path.exists() and not path.is_file():  # such as a pipe, which would block
         raise CadenzaError(f"{path}: no regular file; {MAKE_AGAIN}")
     try:
         # As a plain array: what `numpy.memmap` adds to it takes longer than to read a row.
@@ -254,13 +253,13 @@ def read_facts(folder: Path) -> EpisodeFacts:
             f"{folder / RESULT}: its checksum is another or gone, as it was changed or its folder "
             f"renamed or copied; {MAKE_AGAIN}"
         )
-    if checked_facts.kept and (what := _impossible_value(checked_facts)):
-        raise CadenzaError(f"{folder / RESULT}: {what} cannot be; {MAKE_AGAIN}")
+    if checked_facts.kept and (value := _impossible_value(checked_facts)):
+        raise CadenzaError(f"{folder / RESULT}: {value} cannot be; {MAKE_AGAIN}")
     return checked_facts
 
 
 def _impossible_value(facts: EpisodeFacts) -> str | None:
-    """A value on which readers count and which cannot be; None if there is none."""
+    """An impossible value of a field that readers rely on; None if there is none."""
     steps = facts.metrics.get("steps")
     if type(steps) is not int or not 0 < steps <= _MAX_STEPS:
         return f"steps {quoted(steps)}"
@@ -282,7 +281,7 @@ def write(
 ) -> None:
     """Write an episode that is kept, whose facts do not name its files yet.
 
-    The `score` is the part of the `song` that was to be played; `arrays` are STEPS and PLAN.
+    The `score` is the played part of the `song`; `arrays` are STEPS and PLAN.
     """
     for name, array in arrays.items():
         content = io.BytesIO()
@@ -306,7 +305,7 @@ def _bytes_of(score: Score) -> bytes:
 
 
 def _path_of_song(folder: Path, digest: str) -> Path:
-    """Where the song of an episode is, which others of the same folder share."""
+    """The path of an episode's song, which its episodes share."""
     return folder.parent.parent / SONGS / f"{digest}.json"
 
 

@@ -1,4 +1,4 @@
-"""Says what a folder of demonstrations holds."""
+"""The summary of a folder of demonstrations."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -49,12 +49,12 @@ def _steps(kept: list[EpisodeFacts]) -> str:
     return f"{sum(facts.num_steps for facts in kept):,} steps, {seconds / 60:.1f} min of music"
 
 
-def _spread(what: str, values: list[float]) -> str:
-    return f"{what} {np.mean(values):.3f} on average, {min(values):.3f} to {max(values):.3f}"
+def _spread(name: str, values: list[float]) -> str:
+    return f"{name} {np.mean(values):.3f} on average, {min(values):.3f} to {max(values):.3f}"
 
 
 def _rewarded(kept: list[EpisodeFacts]) -> Iterator[str]:
-    """Yield whose fingers the rewards are for, see `GoalTrack.rewarded_fingers`."""
+    """Yield the sources of rewarded fingers, see `GoalTrack.rewarded_fingers`."""
     counts = Counter(str(facts.metrics.get("rewarded_fingers")) for facts in kept)
     for fingers, count in sorted(counts.items()):
         yield f"rewarded fingers: {printable(fingers)} in {counted(count, 'episode')}"
@@ -66,5 +66,5 @@ def _versions(episodes: Iterable[EpisodeFacts]) -> Iterator[str]:
         for facts in episodes
         for name, version in facts.versions.items()
     )
-    for what, count in sorted(counts.items()):
-        yield f"made with {what}: {counted(count, 'episode')}"
+    for version, count in sorted(counts.items()):
+        yield f"made with {version}: {counted(count, 'episode')}"

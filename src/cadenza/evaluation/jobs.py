@@ -186,7 +186,7 @@ def song_digest(song: Song) -> str:
     files = [part for part in getattr(song.read, "args", ()) if isinstance(part, Path)]
     if files:
         fingers = [path for file in files if os.path.isfile(path := file.with_suffix(SUFFIX))]
-        return sha256_of(*files, *fingers, most=MAX_JSON)[:_HASH]  # no song takes more
+        return sha256_of(*files, *fingers, max_bytes=MAX_JSON)[:_HASH]  # no song takes more
     score = song.load()
     notes = [  # `astuple` of the score takes as long as writing an etude
         (note.start, note.end, note.pitch, note.velocity, note.finger and astuple(note.finger))

@@ -21,7 +21,7 @@ from cadenza.hands.shell import METAL, RUBBER, SLEEVE, TRIM, Shell, ring, rounde
 _DENSITY = 800.0  # [kg/m^3]
 _KP, _DAMPING = 10.0, 1.0  # [N m/rad], [N m s/rad]
 _FORCE = 10.0  # [N m] more than a servo asks for within its range
-_INSET = (0.0004, 0.0008, 0.0030)  # [m] by which what is drawn of a link is smaller than its box
+_INSET = (0.0004, 0.0008, 0.0030)  # [m] by which the drawing of a link is smaller than its box
 _ROUND = 0.0055  # [m] the radius of its edges
 _PIN, _PIN_RADIUS = 0.0075, 0.0068  # [m] of hinges: half of the length, and radius
 _FINGER_WIDTH = (0.0098, 0.01375)  # half sizes across the palm's normal and across the fingers
@@ -122,7 +122,7 @@ def _thumb(tip: Geom) -> tuple[Link, ...]:
 
 
 # As wide as the other hand's, so that two hands keep the same distance.
-_FOREARM = Link(
+FOREARM = Link(
     "forearm", "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
     geoms=(Geom("cylinder", (0.07434, 0.0914), (0, 0, 0.0914)),),
     drawn=(
@@ -163,7 +163,7 @@ _FINGERS = ("ff", "mf", "rf", "th")
 def _body(finger_tip: Geom, thumb_tip: Geom, rotor: float) -> Body:
     return Body(
         links=(
-            _FOREARM,
+            FOREARM,
             _palm(),
             *_finger("ff", (0, 0.0435, -0.001542), (0.999048, -0.0436194, 0, 0), finger_tip),
             *_finger("mf", (0, 0, 0.0007), (1, 0, 0, 0), finger_tip),
@@ -199,7 +199,7 @@ _NARROW_BODY = _body(  # as long, and half as wide
 
 _NAMES = ("th", "ff", "mf", "rf")
 # Its servos follow within a tenth of a second, ten times as stiff as the other hand's: motions have
-# to be gentle, and what is tried around them small.
+# to be gentle, and exploration around them small.
 _NOISE = 0.04  # [rad]
 _CORRECTION = 0.1  # [rad]
 # A fingertip goes 3 cm either way. Over their whole range random actions move it by 10 cm, and
@@ -255,8 +255,7 @@ def _servos(name: str) -> dict[str, Servo]:
     }
 
 
-# Measured by `cadenza hand measure`; `rest` is where it says that the fingertips are at rest, and
-# not where they are when all press.
+# Measured by `cadenza hand measure`; `rest` are its fingertips at rest, not while all press.
 _REACH = Reach(
     rest=np.array([-0.048, -0.012, 0.026, 0.064]),
     least=0.0115 * np.maximum(np.arange(4) - np.arange(4)[:, None], 0),

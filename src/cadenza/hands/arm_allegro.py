@@ -107,7 +107,7 @@ _FLANGE_TO_PALM: Vector = (0, 0, 0.145)
 # Two arms have room side by side, and either reaches past the middle of the keyboard.
 _MOUNT = Mount(pos=(0.72, 0.2, 0.0), quat=(_HALF, 0.0, 0.0, _HALF), home=0.2, low=-0.42, high=0.62)
 
-# Of what is drawn, in radii of a link
+# Of drawings, in radii of a link
 _BAND, _CAP, _PROUD = 0.75, 0.72, 1.035  # where a band begins, the radius of caps; how far both go
 
 _BASE = "arm0"
@@ -140,7 +140,7 @@ def _link(name: str, parent: str, joint: str, part: _ArmLink) -> Link:
 
 
 def _shells(part: _ArmLink) -> tuple[Shell, ...]:
-    """A cover along the link, and what one sees of its motor: a band around it, or two caps."""
+    """A cover along the link, and the visible part of its motor: a band around it, or two caps."""
     (geom,) = part.geoms
     radius, half_length = geom.size
     along = np.zeros(3)

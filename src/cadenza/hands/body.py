@@ -106,7 +106,7 @@ class Link:
     round_geoms: tuple[Geom, ...] = ()
     """The shapes that collide instead if the fingertips are not to be primitive."""
     drawn: tuple[Shell, ...] = ()
-    """What pages and films draw in place of the shapes that collide."""
+    """The shapes that pages and films draw instead."""
     hides_keys: bool = False
     """Whether it is drawn transparent while it hides keys that sound."""
 
@@ -257,8 +257,7 @@ class BodyBuilder:
         return joints
 
     def _add_link(self, link: Link) -> mujoco.MjsBody:
-        # Each hand hangs from a body of its own, as in the published scene: sums are taken per
-        # root.
+        # Each hand hangs from a body of its own, as in the published scene: sums are per root.
         if not link.parent:
             parent = self._spec.worldbody.add_body(name=f"{self._side}_hand")
         else:

@@ -30,10 +30,10 @@ class FingerChain:
 
     name: str
     links: tuple[str, ...]
-    """The rigid links, the nearest to the palm first; as many for every finger of a hand. From the
-    origin of each to that of the next, and from the last to the tip, runs a capsule."""
+    """The rigid links, the nearest to the palm first, the same number for every finger. A capsule
+    runs from the origin of each to the next, and from the last to the tip."""
     radii: tuple[Positive, ...]
-    """The radii of these capsules [m]; the last is that of the tip."""
+    """The radii of these capsules [m]; the last is the tip's."""
     tip: tuple[float, float, float]
     """The centre of the end that presses, in the frame of the last link [m]."""
     on_white: float
@@ -63,7 +63,7 @@ class Hand:
     start: Mapping[str, float] = field(default_factory=dict)
     """Positions of joints when an episode begins [m, rad]; 0 for all others."""
     kept_apart: tuple[str, ...] = (forearm.FOREARM,)
-    """The links that the reward for forearms wants to keep from those of the other hand."""
+    """The links that the reward for forearms keeps from those of the other hand."""
     left: "Hand | None" = None
     """The left hand, with the names of the right one; None if it is its mirror image."""
 
@@ -93,7 +93,7 @@ class Hand:
 
 
 def _add_fingertip(spec: mujoco.MjSpec, side: Side, finger: FingerChain, touch: bool) -> str:
-    """Add the site where a finger presses, and a touch sensor if wanted; return the site's name.
+    """Add the site where a finger presses, with `touch` a sensor; return the site's name.
 
     The sensor measures the normal force [N] of contacts of the last link in the sphere of the site,
     which is a little larger than the tip.
@@ -116,10 +116,7 @@ def _add_fingertip(spec: mujoco.MjSpec, side: Side, finger: FingerChain, touch: 
 
 
 def _faults(hand: Hand) -> Iterator[str]:
-    """Yield a line for each fault of a hand: what is wrong, where, and what to do.
-
-    What MuJoCo refuses itself is left to it.
-    """
+    """Yield a line for each fault of a hand that MuJoCo does not refuse itself."""
     for link in hand.body.links:
         yield from (f"link {link.name}: {fault}" for fault in wrong_types(link))
         if not any(link.quat):

@@ -1,4 +1,4 @@
-"""Hands from files that MuJoCo reads, MJCF or URDF, and a TOML that says what is what in them.
+"""Hands from files that MuJoCo reads, MJCF or URDF, each described by a TOML.
 
 Beside `NAME.toml` lies `NAME.measured.json`, which `cadenza hand measure` writes.
 """
@@ -22,6 +22,7 @@ from cadenza.errors import CadenzaError, quoted
 from cadenza.files import checked, content_of, read_json, sha256_of
 from cadenza.fingers import Side
 from cadenza.hands import forearm
+from cadenza.hands.allegro import FOREARM
 from cadenza.hands.arm_allegro import on_arm_as_on_forearm
 from cadenza.hands.body import (
     ROTOR,
@@ -51,16 +52,12 @@ TOML = ".toml"
 HOW_TO = "docs/how-to/hand.md says what such a file has"
 _MAX_LINKS = 3  # of a finger, as capsules that can meet others
 _THIN = 0.008  # [m] radius of a link without shapes
-_LARGEST_TIP = 0.03  # [m] of its radius
+_MAX_TIP_RADIUS = 0.03  # [m]
 _APART = 0.001  # [m] between the origins of links, for a capsule between them
 _NO_MASS = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}  # MuJoCo wants some
 _STIFF = 1.5  # [N m/rad] from which motions have to be gentle
 _SLACK = 0.3  # [rad] below which a tendon between two joints couples them
-# The forearm, which no file need have: as wide as that of the other hands.
-_FOREARM = Link(
-    forearm.FOREARM, "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
-    geoms=(Geom("cylinder", (0.07434, 0.0914), (0, 0, 0.0914)),),
-)  # fmt: skip
+_FOREARM = replace(FOREARM, drawn=())  # which no file need have
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ class Tip:
 
 @dataclass(frozen=True)
 class FileDescription:
-    """What is what in the MJCF or URDF of a hand."""
+    """The parts of the MJCF or URDF of a hand."""
 
     file: str  # the MJCF or URDF, beside the TOML
     palm: str  # the body that the forearm carries, with all that hangs from it
@@ -101,7 +98,7 @@ class Description(FileDescription):
 
 @dataclass(frozen=True)
 class Measurement:
-    """What planners know of a hand from a file, as `cadenza hand measure` finds it."""
+    """What planners know of a hand from a file, measured by `cadenza hand measure`."""
 
     pos: Vector  # where the palm sits on the forearm [m]
     quat: Quaternion
@@ -245,11 +242,11 @@ class HandFile:
         at, rotation = second.place(np.array(measurement.pos), _matrix(measurement.quat))
         x, y, z = at.tolist()
         rest = second.rest(measurement.rest)
-        theirs = self.left.hand(Measurement((x, y, z), quaternion_of(rotation), rest))
-        return second.renamed(theirs, hand)
+        left_hand = self.left.hand(Measurement((x, y, z), quaternion_of(rotation), rest))
+        return second.renamed(left_hand, hand)
 
     def flat_hand(self) -> FlatHand:
-        """The links and fingertips while all joints but those in `fixed` are at 0."""
+        """The links and fingertips with all joints at 0, except those in `fixed`."""
         palm, joints = self._data.xmat[self._root].reshape(3, 3), self._model.body_jntadr
         lines = {finger: self._line(tip) for finger, (tip, _, _) in self._tips.items()}
         tips = [self._in_frame(self._root, tip) for _, tip, _ in self._tips.values()]
@@ -267,14 +264,14 @@ class HandFile:
         }
         return FlatHand(self.flat, fingers, np.array(tips))
 
-    # What is in the file
+    # The file
 
     def error(self, text: str) -> CadenzaError:
-        """An error in what the TOML says of this file."""
+        """An error in the TOML on this file."""
         return CadenzaError(f"{self._path}: {'left: ' if self._side == 'left' else ''}{text}")
 
     def _id(self, of: str, kind: mujoco.mjtObj, name: str) -> int:
-        """The id of what a name of the TOML stands for."""
+        """The id of a body or joint that the TOML names."""
         id_ = int(mujoco.mj_name2id(self._model, kind, name))
         if id_ < 0:
             noun = kind.name.removeprefix("mjOBJ_").lower()
@@ -299,7 +296,7 @@ class HandFile:
         return f"{name}_of_file" if name == forearm.FOREARM else name
 
     def _moving_joints(self) -> Iterator[tuple[int, str]]:
-        """Yield ids and names of the joints of the hand, without those that are fixed."""
+        """Yield ids and names of the joints of the hand that are not fixed."""
         model = self._model
         for joint in range(model.njnt):
             body, kind = int(model.jnt_bodyid[joint]), mujoco.mjtJoint(model.jnt_type[joint])
@@ -312,7 +309,7 @@ class HandFile:
             yield joint, name
 
     def _rotation(self) -> Array:
-        """The rotation of a flat palm: of a right hand's fingers the first is to the left."""
+        """The rotation of a flat palm; a right hand's first finger is to the left."""
         fingers = list(self._own.values())[-max(len(self._own) - 1, 1) :]  # without the thumb
         bases = np.array([self._in_frame(self._root, self._origin(own[-1])) for own in fingers])
         tips = np.array(
@@ -368,9 +365,9 @@ class HandFile:
                 0
             ]
         radius = tip.radius
-        if radius is not None and not 0 < radius <= _LARGEST_TIP:
+        if radius is not None and not 0 < radius <= _MAX_TIP_RADIUS:
             raise self.error(
-                f"finger {finger}: radius {radius:g}: give metres, {_LARGEST_TIP:g} at most"
+                f"finger {finger}: radius {radius:g}: give metres, {_MAX_TIP_RADIUS:g} at most"
             )
         if radius is None:
             near = [(float(np.linalg.norm(end - centre)), radius) for end, radius in ends]
@@ -545,7 +542,7 @@ class HandFile:
         return links
 
     def _chains(self, measurement: Measurement) -> Iterator[FingerChain]:
-        """Yield the fingers, with as many of their last links as the shortest has."""
+        """Yield the fingers, with the same number of last links, as many as the shortest has."""
         long = {name: list(self._with_length(own)) for name, own in self._own.items()}
         count = min(_MAX_LINKS, *map(len, long.values()))
         for name, links in long.items():
@@ -644,13 +641,13 @@ def _compiled(file: Path) -> mujoco.MjModel:
 def _one_joint_a_body(spec: mujoco.MjSpec, file: Path) -> mujoco.MjSpec:
     """Hang each body that has several joints from bodies without shapes, one for each but the last.
 
-    What touched nothing before touches nothing now: MuJoCo leaves out parents and their children.
+    Exclusions keep bodies from touching their former parents, as MuJoCo does for parents.
     """
     if not any(len(body.joints) > 1 for body in spec.bodies):
         return spec
     root = fromstring(spec.to_xml())
     excluded = root.find("contact") or SubElement(root, "contact")
-    for parent in reversed([*root.iter("body")]):  # what hangs from a body before the body
+    for parent in reversed([*root.iter("body")]):  # children before their parents
         for body in parent.findall("body"):
             name, joints = body.get("name"), body.findall("joint")
             for joint in joints[:-1]:

@@ -28,7 +28,5 @@ def hand_named(name: str) -> Hand:
     if name.endswith(TOML):
         return from_mjcf(name)
     if name.endswith(_MODELS):
-        raise CadenzaError(
-            f"hand {quoted(name)}: give a TOML that says what is what in it; {HOW_TO}"
-        )
+        raise CadenzaError(f"hand {quoted(name)}: give a TOML that describes it; {HOW_TO}")
     return HANDS.load(name, Hand)

@@ -1,1 +1,1 @@
-"""Keyboards as values: which keys there are, where they lie, and how they move."""
+"""Keyboards as values: the places and the motion of their keys."""

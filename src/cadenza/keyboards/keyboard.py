@@ -127,7 +127,7 @@ class Keyboard:
         """The shape of one key."""
         return self.black if self.is_black[key] else self.white
 
-    # Where the keys lie and how they move
+    # Places and motion
 
     @property
     def spacing(self) -> float:
@@ -136,7 +136,7 @@ class Keyboard:
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """The least and the greatest x, y and z of all keys at rest, (2, 3) [m]."""
+        """The lowest and the highest x, y and z of all keys at rest, (2, 3) [m]."""
         low, high = self.centre - self.half_size, self.centre + self.half_size
         return np.stack([low.min(axis=0), high.max(axis=0)])
 
@@ -199,7 +199,7 @@ class Keyboard:
         """(K,) torque that holds each key at its stop against its spring [N m]."""
         return self.spring.stiffness * (self.travel - self.spring.reference)
 
-    # How loud they sound
+    # Loudness
 
     def velocity(self, speed: Array) -> Array:
         """The MIDI velocities of keys that begin to sound at these angular speeds (...) [rad/s].

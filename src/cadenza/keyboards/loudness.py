@@ -1,11 +1,11 @@
-"""The action of a piano: how the speed of a key becomes that of its hammer, and a MIDI velocity."""
+"""The action of a piano: from the speeds of keys to those of hammers, and to MIDI velocities."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-VELOCITIES = 1, 127  # the least and the greatest velocity of MIDI
+VELOCITIES = 1, 127  # minimum and maximum of MIDI
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class PianoAction:
         The arrays are NumPy's or those of a library like it, which can compile this.
         """
         xp = key_speed.__array_namespace__()
-        least = 2.0 ** ((VELOCITIES[0] - self.velocity_at_1) / self.per_doubling)
-        hammer = xp.maximum(self.hammer_ratio * key_speed, least)
+        min_speed = 2.0 ** ((VELOCITIES[0] - self.velocity_at_1) / self.per_doubling)
+        hammer = xp.maximum(self.hammer_ratio * key_speed, min_speed)
         velocity: NDArray[np.float64] = xp.minimum(
             self.velocity_at_1 + self.per_doubling * xp.log2(hammer), float(VELOCITIES[1])
         )

@@ -1,4 +1,4 @@
-"""Engraved sheet music, as small drawings of one system each, whose notes are known by number.
+"""Engraved sheet music, as small drawings of one system each, with numbered notes.
 
 Verovio engraves. Of its drawings remain shapes, glyphs and texts: glyphs are shared by all systems,
 and only the groups of notes are kept, to be coloured.
@@ -33,8 +33,8 @@ _WIDTH = 2600  # of a system, in Verovio's pixels: a staff is 72 high
 _MUSIC_FONT = "Leipzig"
 _MAX_PAGE_LENGTH = 60_000  # the greatest height of a page that Verovio takes
 _MARGIN = 400  # about the systems of a document and between them, in tenths of these
-# Verovio keeps a finger's number clear of what is above and below its own width, which is less than
-# that of a note's head: so it gets wider ones, and keeps stems beside them clear of them, too.
+# Verovio keeps a finger's number clear of things above and below its own width, which is less than
+# a note head's: it is given wider numbers, so that stems beside notes are clear of them, too.
 _WIDE_FINGERS, _FINGERS = 0.95, 0.75  # parts of the size of other texts: for Verovio, and as drawn
 # Sizes of drawn texts, as parts of the sizes for which Verovio leaves room.
 _TEXT_SIZES = {"fing": _FINGERS / _WIDE_FINGERS, "tempo": 0.7}
@@ -57,7 +57,7 @@ _SVG = "{http://www.w3.org/2000/svg}"
 _NOTE_ID = re.compile(r"n(\d+)(?:\.\d+)?")
 _PLACED = re.compile(r"translate\((-?\d+), (-?\d+)\) scale\(([\d.]+), [\d.]+\)")
 _LINE = re.compile(r"M(-?\d+) (-?\d+) L(-?\d+) (-?\d+)")
-_LEFT_OUT = {"label", "placeholder"}  # the name of the instrument, and what is not seen
+_LEFT_OUT = {"label", "placeholder"}  # the name of the instrument, and invisible parts
 _CLASSES = {"fing": "fing", "tempo": "tempo", "mNum": "number", "dynam": "mark", "dir": "mark"}
 # Halves and quarters of metronome marks, and dots, and how wide they are ...
 _IN_TEXT = {"\ueca3": 310, "\ueca5": 302, "\uecb7": 97}
@@ -66,7 +66,7 @@ _STYLES = (
     "text{font-family:Times,serif}.fing,.tempo{font-weight:bold}.number,.mark{font-style:italic}"
 )
 _A4 = 210  # [mm], the width of a document
-_MAX_SYMBOLS = 15_000  # bars, rests, and notes with what they are tied to, of a score on a page
+_MAX_SYMBOLS = 15_000  # bars, rests, and notes with their tied ones, of a score on a page
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Engraving:
 
     @property
     def frame(self) -> tuple[str, str]:
-        """What stands before and after the systems in an SVG file, of the width of a page."""
+        """The beginning and the end of an SVG file around the systems, of the width of a page."""
         last = self.systems[-1]
         width, height = last.width + 2 * _MARGIN, last.top + last.height + 2 * _MARGIN
         box = f"{-_MARGIN} {-_MARGIN} {width} {height}"
@@ -161,7 +161,7 @@ def _with_columns(musicxml: str) -> str:
 
 @dataclass
 class _Drawer:
-    """Redraws pages of Verovio one after the other, and gathers their glyphs."""
+    """A drawer of Verovio's pages, one after the other, which gathers their glyphs."""
 
     sheet: Sheet
     glyphs: dict[str, str] = field(default_factory=dict)
@@ -272,8 +272,8 @@ def write_svg(score: Score, path: str | Path) -> tuple[str, ...]:
 def engraving_of(score: Score) -> str:
     """The engraved score that `score.js` reads, as `packed_text`; "" for no notation.
 
-    A score has notation if it has bars, or if its onsets fit the estimated bars, which those of
-    performers do not. A score of over 15,000 symbols is too long for a page.
+    A score has notation if it has bars, or if its onsets fit the estimated bars, unlike those of
+    performers. A score of over 15,000 symbols is too long for a page.
     """
     if not 0 < len(score.notes) <= _MAX_SYMBOLS:
         return ""
@@ -302,7 +302,7 @@ def _outline(letter: str) -> str:
 
 # In a process
 
-_NICENESS = 5  # behind what plays
+_NICENESS = 5  # behind the process that plays
 _MAX_KEPT = 4  # engravings
 
 

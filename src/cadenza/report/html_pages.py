@@ -65,12 +65,12 @@ def render(template: str, **context: Any) -> Iterator[str]:
 
 
 def rendered(source: str) -> str:
-    """The page that a template is, which may use the files of `templates`."""
+    """The page of a template in `source`, which may use the files of `templates`."""
     return _environment().from_string(source).render()
 
 
 def write_page(path: Path, pieces: Iterator[str]) -> None:
-    """Write the page made of `pieces` to `path`; what is no text, as in names of files, is a ?."""
+    """Write a page to `path`; letters that are no text, as in names of files, become ?."""
     with write_atomically(path) as file:
         for piece in pieces:
             file.write(piece.encode("utf-8", "replace"))
@@ -112,5 +112,4 @@ def _breakable(text: str) -> str:
 
 
 def _percent(share: float) -> str:
-    """A share as a length in CSS, at least 0 and at most 100 %."""
     return f"{100 * min(max(share, 0.0), 1.0):.1f}%"

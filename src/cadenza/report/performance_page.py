@@ -1,8 +1,8 @@
 """The page of a performance: in three dimensions, with sound, piano roll and scores.
 
 It holds the performance as data, which `recording.js` reads. Arrays over time are differences from
-step to step, deflated. Of the hands there are only the joints' positions: the page's scene puts the
-bodies where they belong.
+step to step, deflated. Hands are given by their joints' positions, from which the page places
+bodies.
 """
 
 import math
@@ -33,7 +33,7 @@ _HEADLINES = {
     "recall": ("Recall", "Of the keys that should sound, the share that do, 0 to 1."),
     "note_onset_f1": ("Note onset F1", "Notes that begin within 50 ms of their time, 0 to 1."),
 }
-"""Title and meaning of the metrics that stand above all others."""
+"""Title and meaning of the metrics at the top."""
 _ARRANGEMENT = {
     "original_f1": ("F1 against the original", "Of all keys of the song as written, 0 to 1."),
     "original_note_onset_f1": ("Note onset F1 against it", "Of all of its notes, 0 to 1."),
@@ -44,7 +44,7 @@ _ARRANGEMENT = {
     "notes_moved": ("Notes moved", "By one or more octaves."),
     "notes_added": ("Notes added", "Struck again while they sound."),
 }
-"""The same of a song that was arranged for the hands."""
+"""The same for songs that were arranged for the hands."""
 _PATIENCE = 30.0  # [s] with the engraving of a score, also on a busy machine
 _IN_SECONDS = "timing_error", "onset_delay", "onset_error_", "ioi_", "chord_spread_", "duration_"
 """Beginnings of the names of metrics that are times."""
@@ -68,20 +68,17 @@ def performance_page(
     Args:
         episode: what to show; without a drawn scene, the page has all but the 3D view.
         metrics: name -> number or text; nested mappings are flattened. NaN is shown as a dash.
-        settings: name -> value, nested or not; `agent` is also named at the top, as is each of
-            `notices`; `remarks` are folded. None is not shown; of an absolute path, only the last
-            part.
+        settings: name -> value, nested or not; `agent` and each of `notices` stand at the top, too;
+            `remarks` are folded. None is not shown, and only the last part of absolute paths.
         audio: the performance as `synthesize` makes it, starting with the first step.
-        verdict: how well it was played, in a sentence.
-        misses: the notes that were lost, as `misses.json` has them; without any, the page has no
-            such table.
-        arrangement: what became of each note of a song that was arranged, as `arrangement.json`
-            has it; likewise.
-        goal_sound: what should have been played, of the same length; without, it cannot be heard.
-        midi: a MIDI file of what was played, to download.
-        wanted_midi: one of what was to be played.
-        written: what was to be played, on the clock of the episode; with it, the page shows how
-            loudness and timing differ, and a score, see `engraving_of`, if it is made in 30 s.
+        verdict: a sentence on the performance.
+        misses: lost notes, as in `misses.json`; without any, the page has no such table.
+        arrangement: the fates of notes of an arranged song, as in `arrangement.json`; likewise.
+        goal_sound: the sound of the score, of the same length, if it is to be heard.
+        midi: a MIDI file of the performance, to download.
+        wanted_midi: a MIDI file of the score.
+        written: the score on the clock of the episode; with it, the page shows how loudness and
+            timing differ, and sheet music, see `engraving_of`, if it is made in 30 s.
     """
     metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
     notices = settings.get("notices") or ()
@@ -265,7 +262,7 @@ def finger_numbers(notes: Iterable[Note], lowest: int) -> list[list[float]]:
 def lost_notes(misses: Iterable[Mapping[str, Any]]) -> list[list[Any]]:
     """The notes of `misses.json`, as `explanations.js` reads them.
 
-    Each has its time [s], its name, the name of its finger, what became of it, cause and reason.
+    Each has its time [s], its name, the name of its finger, its fate, cause and reason.
     """
     return [
         [

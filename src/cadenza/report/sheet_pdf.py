@@ -1,7 +1,7 @@
 """Engraved sheet music as a PDF: pages with a title, page numbers, and no system left alone.
 
-What Verovio engraves is shapes, glyphs and a few texts, which PDF has operators for.
-Texts are in the Times that every reader of PDF has; accents that its encoding lacks are left out.
+PDF has operators for Verovio's shapes, glyphs and texts. Texts are in the Times that every reader
+of PDF has; accents that its encoding lacks are left out.
 """
 
 import cmath
@@ -28,7 +28,7 @@ _WIDTH, _HEIGHT = 595, 842  # [pt] of a page, A4
 _MARGIN = 42  # [pt] at each edge
 _TITLE, _COMPOSER, _SMALL = 22, 12, 10  # [pt] of letters
 _HEAD = 62  # [pt] for title and composer, above the first system
-_GAP, _MAX_GAP = 18, 40  # [pt] between systems: at least, and where a page has room
+_MIN_GAP, _MAX_GAP = 18, 40  # [pt] between systems
 _FONTS = {"": "Times-Roman", "bold": "Times-Bold", "italic": "Times-Italic"}
 _STYLES = {"fing": "bold", "tempo": "bold", "number": "italic", "mark": "italic"}
 _ENCODING, _UNITS_PER_EM = "cp1252", 2048  # of these fonts, and of Verovio's table of widths
@@ -51,8 +51,8 @@ _COUNTS = {"h": 1, "v": 1, "m": 2, "l": 2, "s": 4, "c": 6}  # of numbers after a
 def write_pdf(score: Score, path: str | Path) -> tuple[str, ...]:
     """Write a score as a PDF of A4 pages, engraved as `write_musicxml` writes it.
 
-    Raises CadenzaError if the score has no notes. Returns remarks in plain words on what is not as
-    in the score.
+    Raises CadenzaError if the score has no notes. Returns remarks in plain words on differences
+    from the score.
     """
     sheet = sheet_of(score)
     engraving = _without_lone_bar(sheet)
@@ -94,7 +94,7 @@ def _spread(systems: Sequence[System], scale: float) -> list[list[System]]:
             room = _HEIGHT - 2 * _MARGIN - (0 if pages else _HEAD)
             pages.append([])
         pages[-1].append(system)
-        room -= system.height * scale + _GAP
+        room -= system.height * scale + _MIN_GAP
     if len(pages) > 1 and len(pages[-1]) == 1 and len(pages[-2]) > 2:
         pages[-1].insert(0, pages[-2].pop())
     return pages

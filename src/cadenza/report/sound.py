@@ -33,14 +33,14 @@ _LOUDNESS = -18.0
 # No sample is larger: 2 dBFS below full scale, so that the wave between samples, also of the
 # compressed sound, stays 1 dB below it.
 CEILING = 10 ** (-2 / 20)
-_LOUDEST = 0.2  # amplitude of the loudest note before the whole is levelled
+_MAX_AMPLITUDE = 0.2  # of the loudest note, before the sound is levelled
 BLOCK = 10  # [s] of sound that is made at a time
-_LONGEST = 30.0  # [s] a note sounds, whoever holds it
+_MAX_NOTE = 30.0  # [s] that a note sounds, however long it is held
 _VELOCITY_BAND = 8  # velocities that share one timbre
-_TONES_KEPT = 64e6  # bytes of tones that are kept for the notes to come
+_MAX_TONES = 64e6  # bytes of tones that are kept for later notes
 _OPUS_RATE, _OPUS_FRAME = 48_000, 60  # [Hz], [ms]
-_STEREO_RATES, _MONO_RATES = (30_000, 96_000), (20_000, 48_000)  # bit/s, the least and the most
-_LONG = 180.0  # [s] from which on a sound has the least bit rate
+_STEREO_RATES, _MONO_RATES = (30_000, 96_000), (20_000, 48_000)  # bit/s, minimum and maximum
+_LONG = 180.0  # [s] from which on a sound has the minimum bit rate
 _TAIL = 0.7  # [s] of room after the last note
 _ROOM = 0.05  # level of the room against the piano
 IN_MEMORY = 32 << 20  # bytes of sound that need no file: three minutes
@@ -111,10 +111,10 @@ def encode_opus(
     """Return `audio` as a WebM file with Opus, which every browser plays.
 
     Args:
-        audio: what sounds.
-        bit_rate: of the file, bits a second, which it has about; see `bit_rate_of`.
+        audio: the samples.
+        bit_rate: approximate bits a second; by default as `bit_rate_of`.
         mono: whether both channels are mixed into one.
-        seconds: what the file lasts at least; silence is added where the audio is shorter.
+        seconds: minimum length; silence is added to shorter audio.
     """
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="webm", options={"fflags": "+bitexact"}) as container:
@@ -130,7 +130,7 @@ def encode_opus(
 def bit_rate_of(seconds: float, mono: bool = False) -> int:
     """The bit rate of a sound on a page: the longer it lasts, the lower, within limits.
 
-    Of a minute it is 90 kbit/s, from three minutes on 30 kbit/s; of one channel 48 and 20 kbit/s.
+    A minute has 90 kbit/s, three minutes or more 30 kbit/s; one channel 48 and 20 kbit/s.
     """
     lowest, highest = _MONO_RATES if mono else _STEREO_RATES
     return round(min(max(lowest * _LONG / max(seconds, 1.0), lowest), highest))
@@ -152,7 +152,7 @@ def write_audio(
 
 
 def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
-    """Write samples (n, 2) to a file of the kind that its name says, one of `CODECS`.
+    """Write samples (n, 2) to a file of one of the kinds in `CODECS`, by its ending.
 
     WAV and FLAC keep every bit. The file lasts at least `seconds`, with silence at its end. Raises
     OSError if the file cannot be written.
@@ -220,7 +220,7 @@ def _blocks(
             sound = _damped(_tone_of(note, release, tones, voice), note, release)
             first = round(note.start * SAMPLE_RATE) - begin
             mix = _padded(first + len(sound), mix)
-            gain = _LOUDEST * (note.velocity / loudest) ** LOUDER
+            gain = _MAX_AMPLITUDE * (note.velocity / loudest) ** LOUDER
             for channel, level in zip(mix, gain * _pan(note.pitch), strict=True):
                 channel[first : first + len(sound)] += sound * level
             index += 1
@@ -242,7 +242,7 @@ def _tone_of(
     doublings = max(0, int(np.ceil(np.log2(release - note.start + _damping(note.pitch)))))
     key = note.pitch, band, doublings
     if key not in tones:
-        if sum(tone.nbytes for tone in tones.values()) > _TONES_KEPT:
+        if sum(tone.nbytes for tone in tones.values()) > _MAX_TONES:
             tones.clear()
         tones[key] = voice(note.pitch, band / 127, 2.0**doublings, SAMPLE_RATE)
     return tones[key]
@@ -267,7 +267,7 @@ def _releases(score: Score) -> list[float]:
         index = bisect_right(strikes[note.pitch], note.start)
         if index < len(strikes[note.pitch]):
             release = min(release, strikes[note.pitch][index])
-        releases.append(min(max(release, note.start + 0.03), note.start + _LONGEST))
+        releases.append(min(max(release, note.start + 0.03), note.start + _MAX_NOTE))
     return releases
 
 
@@ -339,16 +339,15 @@ def _level(sound: Sound, gain: float) -> None:
 
 # Sound fonts
 
-_HARDEST = 127  # MIDI velocity
-_TRIED = 60  # the pitch that every piano has
+_MAX_VELOCITY = 127  # of MIDI
+_TEST_PITCH = 60  # which every piano has
 _QUALITY = 6  # of the resampling of symusic, 0 to 6
 
 
 def voice_of(sound_font: Path | None) -> Tone:
-    """The voice of a sound font, or the built-in piano if there is none.
+    """The voice of a sound font, or the built-in piano without one.
 
-    Raises:
-        CadenzaError: as `font_tone` raises it.
+    Raises CadenzaError as `font_tone`.
     """
     return tone if sound_font is None else font_tone(sound_font)
 
@@ -356,8 +355,8 @@ def voice_of(sound_font: Path | None) -> Tone:
 def font_tone(path: Path) -> Tone:
     """The tones of a sound font's piano, its first program, as `synthesize` takes them.
 
-    A font chooses the wave by pitch and velocity; `synthesize` does all else, so that loudness,
-    dampers and pedal are those of the built-in piano. Raises CadenzaError if the file cannot be
+    A font chooses the wave by pitch and velocity; loudness, dampers and pedal, as `synthesize` has
+    them, are those of the built-in piano. Raises CadenzaError if the file cannot be
     read as a sound font with a piano, or symusic is not installed.
     """
     with extra_packages("soundfont", "--sound-font"):
@@ -373,7 +372,7 @@ def font_tone(path: Path) -> Tone:
             except RuntimeError as error:
                 raise CadenzaError(f"{path}: is no sound font; choose an .sf2 file") from error
         track = symusic.Track("", 0, False, ttype="second")
-        velocity = round(hardness * _HARDEST)
+        velocity = round(hardness * _MAX_VELOCITY)
         track.notes.append(symusic.Note(0.0, seconds, pitch, velocity, ttype="second"))
         score = symusic.Score(ttype="second")
         score.tracks.append(track)
@@ -382,6 +381,6 @@ def font_tone(path: Path) -> Tone:
         sound[: len(rendered)] = rendered
         return sound
 
-    if not font(_TRIED, 1.0, 0.1, SAMPLE_RATE).any():
+    if not font(_TEST_PITCH, 1.0, 0.1, SAMPLE_RATE).any():
         raise CadenzaError(f"{path}: has no sound for program 1, the piano; choose another file")
     return font

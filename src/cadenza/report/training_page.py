@@ -37,13 +37,13 @@ _UNITS = {
     "train/temperature": "log",
     "train/learning_rate": "log",
 }
-"""Columns -> what their axes measure, if not just numbers; a share is drawn from 0 to 1."""
-_MAX_VALUE = 1e30  # that is drawn: uPlot has no ticks beyond
+"""Columns -> kinds of their axes, if not just numbers; a share is drawn from 0 to 1."""
+_MAX_VALUE = 1e30  # of a drawing; uPlot has no ticks beyond
 _NUM_COLOURS = 8  # that the style sheet has
 _DIGITS = 6  # significant, of a value that is drawn
 _MEAN = "mean"  # style and name of the line of all runs
 _MAX_POINTS = 1200  # of all runs together in a chart, so that the page stays small
-_MAX_LINE_POINTS = 200  # of a line: more cannot be seen
+_MAX_LINE_POINTS = 200  # of a line; more cannot be seen
 
 
 class Points(NamedTuple):
@@ -168,7 +168,7 @@ def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
 
 
 def _lines(runs: Sequence[Curve], points_of_runs: Sequence[Points]) -> list[dict[str, Any]]:
-    """The lines of `_series` that have points, but for a mean of fewer than two runs."""
+    """The lines of `_series` that have points, without a mean of fewer than two runs."""
     num_lines = sum(len(points.x) > 0 for points in points_of_runs)
     lines = [
         _line(style, name, [points_of_runs[i] for i in members], runs)
@@ -219,7 +219,7 @@ class TensorBoard:
         """Resume at `step`, and hide later ones; raises CadenzaError without tensorboardX."""
         with extra_packages("train", "training"):
             from tensorboardX import SummaryWriter
-        # A name that nobody can know before: the file is opened through links.
+        # An unpredictable name, as the file is opened through links.
         suffix = f".{secrets.token_hex(4)}"
         self._writer = SummaryWriter(str(folder), purge_step=step or None, filename_suffix=suffix)
 

@@ -51,7 +51,7 @@ class SceneConfig:
     """The published dynamics, or faster ones for training: twice the physics timestep, no dry
     friction in joints. See docs/speed.md for the difference."""
     engine: Engine = "c"
-    """What simulates: MuJoCo in C on threads, or MuJoCo Warp on a GPU, see docs/gpu.md. Planners
+    """The simulator: MuJoCo in C on threads, or MuJoCo Warp on a GPU, see docs/gpu.md. Planners
     always plan in C."""
 
     __repr__ = in_short
@@ -66,7 +66,7 @@ def named_by_module(config: SceneConfig) -> dict[str, str]:
 def check_modules(config: SceneConfig, where: Path) -> None:
     """Check that a configuration read from a file imports no module, which may run anything.
 
-    Raises CadenzaError if `where` names a `module:NAME` that nobody has imported.
+    Raises CadenzaError if `where` names a `module:NAME` that is not imported.
     """
     for option, name in named_by_module(config).items():
         if (module := module_of(name)) not in sys.modules:

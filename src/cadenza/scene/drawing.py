@@ -25,10 +25,10 @@ def drawing(scene: Scene) -> dict[str, Any]:
     geoms: body (index, or -1 where it stands still), type, size (MuJoCo's half sizes [m]), pos
         [m] and quat (w x y z) in the body's frame, rgba, finger (number of a fingertip, or None),
         and whether it is part of a palm, which hides keys.
-    shells: what is drawn of bodies in place of geoms: body, finger and palm as above, and what
-        `hands.shell.as_json` says of it. Metal hides little, and is no part of a palm.
+    shells: drawings of bodies in place of geoms: body, finger and palm as above, and the fields of
+        `hands.shell.as_json`. Metal hides little, and is no part of a palm.
     furniture: the case: boxes with size, pos, quat and material as above.
-    key_materials: those of white and of black keys.
+    key_materials: the materials of white and of black keys.
     keys: for each its box at rest, pos and half size [m], a point on the hinge, the
         hinge's axis, travel [rad], and whether it is black.
     """
@@ -143,7 +143,7 @@ _BEVEL = 0.0012  # [m] of edges of the case and the keys
 _ROOM = 6.0  # [m] half of the floor
 _SHADOWED = 0.55  # [m] to either side of where the light points, that has shadows
 # [m] that is drawn. MuJoCo moves shadows by a part of it, without which surfaces shade themselves.
-_FARTHEST = 3000.0
+_MAX_DISTANCE = 3000.0
 # Meridians and parallels of shells, wider than so much [m] from their middle or not
 _LARGE, _FINE, _COARSE = 0.028, (20, 12), (12, 8)
 _BARE: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
@@ -166,7 +166,7 @@ def drawn_model(scene: Scene) -> mujoco.MjModel:
                 _add(spec, body, f"{body.name}_{number}", shell.mirrored(side))
     model = spec.compile()
     model.vis.map.shadowclip = _SHADOWED / model.stat.extent
-    model.vis.map.zfar = _FARTHEST / model.stat.extent
+    model.vis.map.zfar = _MAX_DISTANCE / model.stat.extent
     model.vis.quality.numquads = 1  # all but boxes of notes are meshes
     return model
 

@@ -15,7 +15,7 @@ from cadenza.keyboards.keyboard import Keyboard
 LACQUER = Material((0.045, 0.043, 0.048, 1.0), 0.24)  # polished black: the case, and the black keys
 IVORY = Material((0.95, 0.935, 0.90, 1.0), 0.25)  # white keys, a little warm
 FELT = Material((0.50, 0.05, 0.075, 1.0), 1.0)  # the red strip behind the keys
-FLOOR = Material((0.74, 0.755, 0.78, 1.0), 1.0)  # what the piano stands on
+FLOOR = Material((0.74, 0.755, 0.78, 1.0), 1.0)
 
 SLOPE = 0.5  # how far the fall board rises towards the back [rad]
 BOARD_LENGTH = 0.21  # the fall board has this length from its lower edge to its upper one [m]
@@ -25,9 +25,9 @@ _BOARD_HALF = 0.004  # [m] half of its thickness
 
 # Of a piano [m]; a keyboard with shorter keys has a case that is smaller by as much.
 _KEY_LENGTH = 0.15
-_UNDER_BOARD = 0.014  # from the fall board down to what it stands on
+_UNDER_BOARD = 0.014  # from the fall board down to its support
 _CHEEK, _ARM = 0.013, 0.011  # half widths
-_SLIT = 0.002  # between moving keys and what stands still
+_SLIT = 0.002  # between moving keys and the case
 _BED = 0.011  # half of the key bed's height
 _SLIP = 0.006  # half of the key slip's depth
 _SLIP_BELOW = 0.0025  # its upper edge, under the tops of white keys that are down
@@ -65,7 +65,7 @@ def board_half_width(keyboard: Keyboard) -> float:
 
 
 def floor_height(keyboard: Keyboard) -> float:
-    """The height of what the piano stands on [m]."""
+    """The height of the floor [m]."""
     return float(keyboard.bounds[0][2]) - 2 * _BED - 2 * _SLIT
 
 
@@ -92,7 +92,7 @@ def furniture(keyboard: Keyboard) -> tuple[CasePiece, ...]:
             (front + _SLIT, slip), width, (bottom - _SLIT, white - keyboard.white.dip - _SLIP_BELOW)
         ),
         _box((behind, rear + _SLIT), (-inside, inside), (white - _FELT_HALF[1], felt), FELT),
-        # What stands behind the keys, with a strip of bronze on its edge
+        # The board behind the keys, with a strip of bronze on its edge
         _box((back, behind), width, (bottom - _SLIT, name_board)),
         _box((back, middle), width, (name_board, (name_board + top) / 2 - _UNDER_BOARD)),
         _box((behind - 0.003, behind - 0.0012), width, (name_board, name_board + 8e-4), TRIM),
@@ -131,7 +131,7 @@ def _end_of_board(keyboard: Keyboard) -> tuple[float, float]:
 
 
 def _fall_board(keyboard: Keyboard) -> tuple[CasePiece, ...]:
-    """The sloping board, what it stands on, and a rail at either end of it."""
+    """The sloping board, and a rail at either end of it."""
     x, z = board_origin(keyboard)
     back, up = np.array([-np.cos(SLOPE), np.sin(SLOPE)]), np.array([np.sin(SLOPE), np.cos(SLOPE)])
     width, rail = board_half_width(keyboard), _ARM * _scale(keyboard)

@@ -48,7 +48,7 @@ class Links(NamedTuple):
 
         Args:
             posture: (...) indices of postures.
-            finger: (...) indices of fingers, those of the left hand after those of the right.
+            finger: (...) indices of fingers, the left hand's after the right hand's.
             link: (...) indices of the fingers' links.
             at: (..., 3) the points [m].
             direction: (..., 3) unit vectors.
@@ -161,8 +161,8 @@ def _jacobian_terms(
 ) -> list[_JacobianTerms]:
     """The terms of the Jacobian of points, each given by its `_chain`.
 
-    `joints` (A, J) says which joints a servo moves. Where it moves a point by several of them, each
-    gets terms of its own, as one assignment by index adds only one of them.
+    `joints` (A, J) says which joints a servo moves. If several of them move a point, each gets
+    terms of its own, as one assignment by index adds only one of them.
     """
     groups: dict[tuple[int, bool], list[tuple[int, int, float, int]]] = {}
     count = Counter[tuple[int, int]]()

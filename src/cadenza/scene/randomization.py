@@ -1,4 +1,4 @@
-"""Domain randomization of models: one scene, made to differ as real pianos and robots do."""
+"""Domain randomization of models: variations of one scene, like real pianos and robots."""
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
@@ -34,7 +34,7 @@ POSE_FIELDS = {
     "mount_offset": ("body_pos",),
     "mount_tilt": ("body_quat",),
 }
-"""Name of a pose that may be off -> the field of `mujoco.MjModel` that has it."""
+"""Name of a changed pose -> the field of `mujoco.MjModel` that has it."""
 KEY_SOUNDING = "key_sounding"
 """The name of factors that no model has: of the depth from which each key sounds."""
 _OF_KEYS = {"key_spring", "key_travel"}  # each key is one hinge
@@ -47,8 +47,8 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
 
     - mass (bodies,): mass and inertia of each body, keys included; the weight of the hands stays
       compensated where it is,
-    - friction (): that of all contacts in common, because two surfaces that touch take the greater
-      of theirs, and factors of their own would make it more on the whole,
+    - friction (): one factor for all contacts, because two surfaces that touch have the greater
+      friction of both, and factors of their own would increase it on the whole,
     - joint_damping, joint_friction, armature (V,): damping, dry friction and motor inertia of each
       joint, keys included,
     - servo_gain (A,): of each servo, for position and speed alike,
@@ -81,7 +81,7 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
 
 
 def scale(model: mujoco.MjModel, scene: Scene, factors: Factors, data: mujoco.MjData) -> None:
-    """Set fields of `model`, a copy of that of `scene`, to the nominal ones changed by `factors`.
+    """Change fields of `model`, a copy of the scene's, by `factors` from their nominal values.
 
     Earlier factors of the same names are replaced. MuJoCo computes with `data`, which has to be
     reset afterwards.
@@ -111,7 +111,7 @@ def _displace(model: mujoco.MjModel, scene: Scene, name: str, by: NDArray[np.flo
 
 
 def affected_fields(names: Collection[str]) -> tuple[str, ...]:
-    """The fields of a model that differ, and change motion, where such quantities are scaled."""
+    """The fields of a model that differ and change motion if quantities of these names do."""
     computed = _COMPUTED if _INERTIAL & set(names) else ()
     fields = SCALED_FIELDS | POSE_FIELDS
     return (*dict.fromkeys(f for name in names for f in fields.get(name, ())), *computed)
@@ -132,7 +132,7 @@ def scaled_fields(scene: Scene, each: Iterable[Factors]) -> dict[str, NDArray[np
 
 
 def with_servo_damping(scene: Scene, factors: NDArray[np.float64]) -> Scene:
-    """The scene with the damping of what each servo moves multiplied by factors (A,)."""
+    """The scene with the damping of the joints of each servo multiplied by factors (A,)."""
     moves = servos_of(scene).joints > 0  # (A, J)
     of_dofs = np.ones(scene.model.nv)
     of_dofs[scene.hand_qvel] = np.where(moves.any(axis=0), factors @ moves, 1.0)

@@ -29,7 +29,7 @@ SLEEP_TOLERANCE = 1e-5
 """The tolerance at which keys at rest cost no time and a recorded song replays to 1e-4 rad."""
 _FRICTION_IMPEDANCE = 10  # MuJoCo's impratio of the published scene: keys do not slip
 _KEY_BIT = 2  # of contype and conaffinity, for fingers on keys
-_NUM_POSTURES = 400  # enough that more find no other pair of parts that collides
+_NUM_POSTURES = 400  # more find no other pair of parts that collides
 _MAX_SPACING, _MAX_YAW = 1.2, 180.0  # [m], a piano's length; [degree]
 
 
@@ -111,8 +111,8 @@ def build_scene(config: SceneConfig | None = None, hand: Hand | None = None) -> 
         spec, sites = scene_spec(config, keyboard, hand)
         model = spec.compile()
     except ValueError as error:  # hand and keyboard may come from other packages
-        message, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
-        raise CadenzaError(f"{which}: MuJoCo cannot build them: {message}") from error
+        message, names = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
+        raise CadenzaError(f"{names}: MuJoCo cannot build them: {message}") from error
     sides = _sides(config)
     _damp_forearms_critically(model, hand, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)
@@ -150,7 +150,7 @@ def hand_alone(scene: Scene, side: Side) -> HandAlone:
 
 
 def shared_scene(config: SceneConfig) -> Scene:
-    """The scene that `config` describes, one for all that ask, which must not be changed."""
+    """The scene that `config` describes, shared by all callers, which must not change it."""
     return _described(config, hand_named(config.hand), keyboard_named(config.keyboard))
 
 
@@ -200,8 +200,8 @@ def reduced_model(
         scene: a scene with hands.
         keys: the keys that are kept.
         parts: the parts of the hands that are kept beside the ends of the fingers.
-        num_samples: of how many physics steps MuJoCo keeps the angles of the keys, as the histories
-            of sensors, which come before all others.
+        num_samples: the number of physics steps for which MuJoCo keeps the angles of the keys, as
+            the histories of sensors, which come before all others.
     """
     spec = mujoco.MjSpec()
     _set_options(spec, scene.config, scene.hand)
@@ -354,7 +354,7 @@ def _geoms_of(model: mujoco.MjModel, prefix: str, links: Sequence[str]) -> NDArr
 
 
 def _as_slice(addresses: Sequence[int]) -> slice:
-    """The slice of consecutive addresses, as hinges and slides get that are added together."""
+    """The slice of consecutive addresses, as of hinges and slides that are added together."""
     first, count = (int(addresses[0]), len(addresses)) if len(addresses) else (0, 0)
     assert list(addresses) == list(range(first, first + count))
     return slice(first, first + count)

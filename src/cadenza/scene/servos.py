@@ -1,4 +1,4 @@
-"""The servos of the hands: what they move, against which stiffness, damping and inertia.
+"""The servos of the hands: their joints, stiffness, damping and inertia.
 
 All figures come from the compiled model.
 """
@@ -54,7 +54,7 @@ class Servos:
 
     @cached_property
     def noise(self) -> Array:
-        """(A,) standard deviations of what planners sample around their plans [m, rad]."""
+        """(A,) standard deviations of planners' samples around their plans [m, rad]."""
         return np.array([use.noise for use in self.uses])
 
     @cached_property
@@ -84,7 +84,7 @@ class Servos:
         """(3, A) weights of three positions, `dt` [s] apart, in the control that follows them.
 
         The control is held from the second position to the third. It aims at the middle between
-        these, and leads by what damping and inertia need.
+        these, and leads as damping and inertia need.
         """
         damped = self.damping / self.stiffness / dt
         driven = self.inertia / self.stiffness / dt**2
@@ -96,7 +96,7 @@ def clip(values: NDArray[Any], low: ArrayLike, high: ArrayLike) -> NDArray[Any]:
     return np.minimum(np.maximum(values, low), high)
 
 
-@lru_cache(maxsize=8)  # short plans ask again and again
+@lru_cache(maxsize=8)  # for short plans
 def servos_of(scene: Scene) -> Servos:
     """The servos of a scene with hands."""
     model, dofs = scene.model, scene.hand_qvel
@@ -114,8 +114,8 @@ def servos_of(scene: Scene) -> Servos:
         follower, leader = model.jnt_dofadr[pair] - dofs.start
         joints[:, follower] = model.eq_data[equality, 1] * joints[:, leader]
     names = tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names)
-    # Dissipation at unit speed is a sum over the joints of a coordinate. So is kinetic energy, but
-    # for what joints of one tendon carry of each other.
+    # Dissipation at unit speed is a sum over the joints of a coordinate. So is kinetic energy,
+    # except that joints of one tendon carry each other.
     return Servos(
         names=names,
         joints=joints,

@@ -178,16 +178,16 @@ def moved_setpoints(ranges: DrawRanges, setpoint: Any, ctrl: Any, drawn: Mapping
 
 
 def _check(config: DomainRandomization) -> None:
-    limits = {n: (_MIN_FACTOR.get(n, 0.0), most) for n, most in _MAX_FACTOR.items()}
-    limits |= {name: (0.0, most) for name, most in _MAX_TIME.items()}
-    for name, (least, most) in limits.items():
+    limits = {n: (_MIN_FACTOR.get(n, 0.0), high) for n, high in _MAX_FACTOR.items()}
+    limits |= {name: (0.0, high) for name, high in _MAX_TIME.items()}
+    for name, (minimum, maximum) in limits.items():
         low, high = getattr(config, name)
-        if not least <= low <= high <= most:
+        if not minimum <= low <= high <= maximum:
             raise CadenzaError(
                 f"{_PREFIX}{name} {low} {high}: give the least and the greatest, both from "
-                f"{least:g} to {most:g}"
+                f"{minimum:g} to {maximum:g}"
             )
-    numbers = {name: (0.0, most) for name, most in _MAX_NUMBER.items()}
+    numbers = {name: (0.0, high) for name, high in _MAX_NUMBER.items()}
     seeds = (name for name in (SEED, "robot") if getattr(config, name) is not None)
     numbers |= dict.fromkeys(seeds, (0, MAX_COUNT))
     check_ranges(config, numbers, _PREFIX)
