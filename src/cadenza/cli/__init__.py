@@ -121,7 +121,11 @@ def _run(words: list[str]) -> None:
     count = 2 if words and words[0] in GROUPS else 1
     name, rest = " ".join(words[:count]), words[count:]
     if name not in COMMANDS:
-        print_commands(_kinds(), GROUPS, "cadenza", _ABOUT, words)
+        kinds = {
+            name: with_options_of(kind, [PLANNER]) if issubclass(kind, Options) else kind
+            for name, (kind, _) in COMMANDS.items()
+        }
+        print_commands(kinds, GROUPS, "cadenza", _ABOUT, words)
     kind, run = COMMANDS[name]
     if any(":" in word for word in words) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
@@ -154,14 +158,6 @@ def _import_parts(chosen: Chosen) -> None:
         keyboard_named(chosen.keyboard)
     if chosen.learner is not None and module_of(chosen.learner) is not None:
         LEARNERS.load(chosen.learner, type)
-
-
-def _kinds() -> dict[str, type]:
-    """Name -> the dataclass of a command, with the options of the planner if it plays."""
-    return {
-        name: with_options_of(kind, [PLANNER]) if issubclass(kind, Options) else kind
-        for name, (kind, _) in COMMANDS.items()
-    }
 
 
 def _exit(status: int, message: str = "") -> NoReturn:

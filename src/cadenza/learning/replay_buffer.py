@@ -41,24 +41,21 @@ class ReplayBuffer:
         self._observer = observer
         # At least four: a frame with an action outlives the end of its episode and the next start.
         length = max(-(-capacity // num_envs), 4)
-        self._shape = (num_envs, length)
+        self._shape = shape = (num_envs, length)
         try:
-            self._frames = self._empty(observer.proprioception_size, action_size)
+            self._frames: dict[str, NDArray[Any]] = {
+                "proprioception": np.zeros((*shape, observer.proprioception_size), np.float32),
+                "action": np.zeros((*shape, action_size), np.float32),
+                "reward": np.zeros(shape, np.float32),
+                "row": np.zeros(shape, np.int32),
+                "first": np.zeros(shape, bool),
+                "terminated": np.zeros(shape, bool),
+                "complete": np.zeros(shape, bool),
+            }
         except MemoryError as error:
             raise CadenzaError(f"buffer_size {capacity}: not enough memory; choose less") from error
         self._count = np.zeros(num_envs, np.int64)  # frames ever added
         self._size = 0  # transitions
-
-    def _empty(self, proprioception_size: int, action_size: int) -> dict[str, NDArray[Any]]:
-        return {
-            "proprioception": np.zeros((*self._shape, proprioception_size), np.float32),
-            "action": np.zeros((*self._shape, action_size), np.float32),
-            "reward": np.zeros(self._shape, np.float32),
-            "row": np.zeros(self._shape, np.int32),
-            "first": np.zeros(self._shape, bool),
-            "terminated": np.zeros(self._shape, bool),
-            "complete": np.zeros(self._shape, bool),
-        }
 
     def __len__(self) -> int:
         """The number of transitions."""

@@ -94,7 +94,7 @@ def _environment() -> Environment:
         "base64": in_base64,
         "packed": packed_text,
         "breakable": _breakable,
-        "percent": _percent,
+        "percent": lambda share: f"{100 * min(max(share, 0.0), 1.0):.1f}%",
     }
     return environment
 
@@ -109,7 +109,3 @@ def _breakable(text: str) -> str:
     from markupsafe import Markup, escape
 
     return Markup(re.sub(_SEPARATORS, r"\g<0><wbr>", str(escape(text))))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * min(max(share, 0.0), 1.0):.1f}%"

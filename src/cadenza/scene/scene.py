@@ -319,6 +319,8 @@ def _resolve(
     fingers = Fingers(len(hand.fingers))
     keys = [keyboard.key_name(key) for key in range(keyboard.num_keys)]
     hinge = [model.joint(key).qposadr[0] for key in keys]
+    places = [fingers.of_hand(SIDES.index(side)) for side in sides] or [slice(0, 0)]
+    kept_apart = ([model.body(p + link).id for link in hand.kept_apart] for p in prefixes)
     return Scene(
         config=config,
         keyboard=keyboard,
@@ -336,8 +338,8 @@ def _resolve(
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
         fingertip_sites=as_ids(model.site(name).id for name in fingertip_sites),
         fingers=fingers,
-        present_fingers=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
-        forearm_geoms=np.array([_geoms_of(model, p, hand.kept_apart) for p in prefixes], bool),
+        present_fingers=slice(places[0].start, places[-1].stop),
+        forearm_geoms=np.array([np.isin(model.geom_bodyid, ids) for ids in kept_apart], bool),
         hand_bodies=as_ids(bodies),
         palm_bodies=as_ids(model.body(p + name).id for p in prefixes for name in hand.palm_links),
         slide_joints=as_ids(row for row, j in enumerate(joints) if model.joint(j).name in slides),
@@ -348,21 +350,11 @@ def _ids_with_prefix(count: int, element: Callable[[int], Any], prefix: str) -> 
     return [i for i in range(count) if element(i).name.startswith(prefix)]
 
 
-def _geoms_of(model: mujoco.MjModel, prefix: str, links: Sequence[str]) -> NDArray[np.bool_]:
-    """(G,) which geoms are of these links of the hand with a prefix."""
-    return np.isin(model.geom_bodyid, [model.body(prefix + link).id for link in links])
-
-
 def _as_slice(addresses: Sequence[int]) -> slice:
     """The slice of consecutive addresses, as of hinges and slides that are added together."""
     first, count = (int(addresses[0]), len(addresses)) if len(addresses) else (0, 0)
     assert list(addresses) == list(range(first, first + count))
     return slice(first, first + count)
-
-
-def _joined(parts: Sequence[slice]) -> slice:
-    """The slice from the first of consecutive slices to the last."""
-    return slice(parts[0].start, parts[-1].stop) if parts else slice(0, 0)
 
 
 def as_ids(values: Iterable[int]) -> Ids:

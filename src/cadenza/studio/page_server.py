@@ -229,16 +229,12 @@ def _clean_exit(server: uvicorn.Server) -> Iterator[None]:
         yield
         return
     closed = signal.signal(signal.SIGHUP, lambda *_: server.handle_exit(signal.SIGTERM, None))
-    ended = signal.signal(signal.SIGTERM, _exit)  # to which Uvicorn comes back
+    ended = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(_KILLED + number))
     try:
         yield
     finally:
         signal.signal(signal.SIGHUP, closed)
         signal.signal(signal.SIGTERM, ended)
-
-
-def _exit(number: int, _: object) -> None:
-    sys.exit(_KILLED + number)
 
 
 _READING = ("GET", "HEAD")  # methods that change nothing
