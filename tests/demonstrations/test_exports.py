@@ -50,8 +50,17 @@ class Watching(Playback):
 seen: list[np.ndarray] = []
 
 
-def test_observations_are_those_of_the_environment(made):
-    dataset = open_dataset(made)
+@pytest.fixture
+def felt(tmp_path):
+    """Demonstrations of a hand that observes its touch and how fast it moves."""
+    scene = SceneConfig(touch=True, hands="right")
+    collected(tmp_path / "felt", Variation(), scene=scene, joint_velocities=True)
+    return tmp_path / "felt"
+
+
+@pytest.mark.parametrize("observed", ["made", "felt"])
+def test_observations_are_those_of_the_environment(observed, request):
+    dataset = open_dataset(request.getfixturevalue(observed))
     episode, exported = dataset.episodes[0], transitions(dataset, 0)
     seen.clear()
     with task_of(episode, dataset.scene) as task:
@@ -63,6 +72,7 @@ def test_observations_are_those_of_the_environment(made):
     at = layout["goal"].stop
     ours = np.delete(exported.observation, np.s_[at : at + fingering], axis=1)
     assert ours.shape == shown.shape
+    assert observed == "made" or exported.touch.max() > 0
     np.testing.assert_array_equal(ours, shown)
     assert result.metrics["f1"] == episode.facts.f1
 

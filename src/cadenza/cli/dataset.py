@@ -80,8 +80,6 @@ def _check(command: Collect) -> None:
         check_ranges(command.variation, {"excerpt": (1, 3600)})
     if command.scene.hands == "none":
         raise CadenzaError("--hands none: there are no hands to learn from; choose some")
-    if command.scene.touch:
-        raise CadenzaError("--touch: demonstrations keep no forces; give --no-touch")
     if command.task.wrong_press_termination:
         raise CadenzaError(
             "--wrong-press-termination: demonstrations last as long as their songs; leave it out"

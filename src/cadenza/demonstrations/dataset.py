@@ -99,6 +99,7 @@ class Dataset:
         control_timestep: between two steps [s].
         shows_fingers: True if the task's observations say which fingers have a key to press.
         shows_onsets: True if they say when and how loud notes and keys begin to sound.
+        shows_velocities: True if they say how fast joints move.
     """
 
     def __init__(self, episodes: Sequence[RecordedEpisode]) -> None:
@@ -115,6 +116,8 @@ class Dataset:
         self.shows_fingers = _common(episodes, "fingering", shown)
         shown = [e.facts.task.onset_goals for e in episodes]
         self.shows_onsets = _common(episodes, "onset_goals", shown)
+        shown = [e.facts.task.joint_velocities for e in episodes]
+        self.shows_velocities = _common(episodes, "joint_velocities", shown)
         lengths = np.array([episode.facts.num_steps for episode in episodes], np.intp)
         ends = np.cumsum(lengths)
         self._lengths, self.first, self.num_steps = lengths, ends - lengths, int(ends[-1])

@@ -62,6 +62,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
     - `sounding` the keys that sound, as bits
     - `key_onset`, `key_velocity` (K,) when keys began to sound in the step before, and how loud,
       from 0 to 1, as environments show it (`cadenza.tasks.view.observed_key_onsets`)
+    - `touch` (F,) of scenes with touch sensors, forces on fingertips, as environments show them
 
     And actions, 0 in the last row:
 
@@ -70,6 +71,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
     """
     joints, servos = len(scene.hand_joint_names), len(scene.actuator_names)
     keys = scene.keyboard.num_keys
+    touch = [("touch", np.float32, (len(scene.fingertip_sites),))] if scene.config.touch else []
     return np.dtype(
         [
             ("hand_qpos", np.float32, (joints,)),
@@ -84,6 +86,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
             ("key_onset", np.float32, (keys,)),
             ("key_velocity", np.float32, (keys,)),
             ("sounding", np.uint8, (-(-keys // 8),)),
+            *touch,
         ],
         align=True,
     )

@@ -30,10 +30,11 @@ class Transitions(NamedTuple):
     key_state: Floats  # depth of the keys (T + 1, K), 0 to 1
     pedal: Floats  # depth of the pedal (T + 1, 1), 0 to 1
     joints: Floats  # joint positions (T + 1, J) [m, rad]
+    joint_velocities: Floats  # (T + 1, J) [m/s, rad/s], or (T + 1, 0) where the task shows none
+    touch: Floats  # forces on fingertips (T + 1, F), 0 to 1, or (T + 1, 0) without sensors
     key_onset: Floats  # when keys began to sound in the step before (T + 1, K), as a share of it
     key_velocity: Floats  # how loud they did (T + 1, K), 0 to 1
-    # Joint velocities (T + 1, J) [m/s, rad/s], no part of the environments' observation
-    velocities: Floats
+    velocities: Floats  # joint velocities (T + 1, J) [m/s, rad/s], whatever the task shows
     chosen: Floats  # actions that the demonstrator chose (T, A + 1), in [-1, 1], without noise
     played: Floats  # actions that were played before each state (T + 1, A + 1); 0 before the first
     reward: NDArray[np.float64]  # reward of each step (T,)
@@ -65,6 +66,7 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
     # After the last step, environments go on showing its goals.
     here = np.minimum(np.arange(count + 1), count - 1)
     shown = slice(None if dataset.shows_onsets else 0)
+    moving = slice(None if dataset.shows_velocities else 0)
     when, how_loud = (values[here].reshape(count + 1, -1)[:, shown] for values in onsets)
     fingering = batch.fingering[here, 0].astype(np.float32)
     return Transitions(
@@ -75,6 +77,8 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
         key_state=steps["key_state"],
         pedal=steps["pedal"][:, None],
         joints=steps["hand_qpos"],
+        joint_velocities=steps["hand_qvel"][:, moving],
+        touch=steps["touch"] if scene.config.touch else steps["hand_qpos"][:, :0],
         key_onset=steps["key_onset"][:, shown],
         key_velocity=steps["key_velocity"][:, shown],
         velocities=steps["hand_qvel"],

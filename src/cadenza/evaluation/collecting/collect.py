@@ -44,7 +44,7 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.threads import cpu_seconds
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.reward import key_state
-from cadenza.tasks.view import View
+from cadenza.tasks.view import View, observed_touch
 
 Array = NDArray[Any]
 
@@ -248,6 +248,9 @@ def _arrays(
     travel = scene.keyboard.travel
     steps["key_state"][0] = key_state(start.key_qpos[0], travel)
     steps["key_state"][1:] = key_state(episode["key_qpos"], travel)
+    if scene.config.touch:
+        touch = np.concatenate([start.touch[:1], episode["touch"]])
+        steps["touch"] = observed_touch(touch[:, scene.present_fingers])
     steps["sounding"][1:] = np.packbits(episode["key_activation"], axis=1)
     steps["played"][1:] = perturbed.played
     shown = Shown._make(zip(*perturbed.shown, shown_by(last), strict=True))
