@@ -23,7 +23,7 @@ _FILLED = 0.88  # of width and height, at least, with what is around; or it turn
 _ALONG = 65  # points of a long edge; some are beside the picture
 _CLOSEST = 0.05  # [m] in front of the camera that is seen
 _ROUNDS = 8  # of fitting, after which nothing moves by a pixel
-_MAX_TURN = np.radians(70)  # around hands that are too far apart to fill a tall picture
+_MAX_TURN = np.radians(70)  # around hands that are too far apart to fill a picture
 _HALVINGS = 11  # of it, down to .03 degrees
 
 
@@ -89,16 +89,18 @@ class Camera:
         return target, distance
 
     def _fit_turning(self, sight: Sight) -> tuple[Points, float]:
-        """Fit what is seen, turned as little as fills the height of the picture."""
+        """Fit what is seen, turned as little as fills the picture the way that it is not filled."""
         target, distance = self._fit(sight.shown)
-        if self._filled(sight, target, distance)[1] >= _FILLED:
+        filled = self._filled(sight, target, distance)
+        way = filled.argmin()
+        if filled[way] >= _FILLED:
             return target, distance
         low, high = 0.0, _MAX_TURN
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             self._turn(middle)
             target, distance = self._fit(sight.shown)
-            if self._filled(sight, target, distance)[1] < _FILLED:
+            if self._filled(sight, target, distance)[way] < _FILLED:
                 low = middle
             else:
                 high = middle

@@ -634,11 +634,16 @@ def margins(shown):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("falling", [False, True])
-@pytest.mark.parametrize("apart", [-0.05, 0.1])
+@pytest.mark.parametrize("apart", [-0.05, 0.1, 0.3])
 def test_piano_or_hands_fill_a_picture_of_any_shape_and_none_is_cut(browser, write, falling, apart):
     played = recorded_scale(apart)
+    left_along = build_scene(SceneConfig(reduced_action_space=True)).slide_joints[1]
+    played["hand_qpos"][98:, left_along] -= 0.1  # which leaps just before 5 s
+    forearms = {
+        i for i, name in enumerate(played.scene["bodies"]) if name.endswith(("forearm", "wrist"))
+    }
     for part in [*played.scene["geoms"], *played.scene["shells"]]:
-        if part["palm"] or part.get("finger") is not None:
+        if part["body"] >= 0 and part["body"] not in forearms:
             part["rgba"] = [1, 0, 1, 1]
     browser.open(write(played))
     shapes = (320, 180), (180, 320), (240, 180), (240, 240)

@@ -15,7 +15,7 @@ from cadenza.scene.scene import build_scene
 from cadenza.sim.render import Picture, Renderer
 
 SHAPES = (160, 90), (90, 160), (160, 120), (120, 120)
-APART = -0.05, 0.05  # [m] that each hand is moved away from the other
+APART = -0.05, 0.05, 0.3  # [m] that each hand is moved away from the other
 DATA = Path(__file__).parents[1] / "data"
 
 

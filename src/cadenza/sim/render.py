@@ -172,7 +172,7 @@ def _free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
 
 
 _BOTH_WAYS = np.concatenate([np.eye(3), -np.eye(3)])  # along the axes both ways; [2::3] is up, down
-_PALM, _TIP = 0.035, 0.02  # [m] from the middles of bodies of hands to their edges, about
+_PALM, _TIP = 0.035, 0.03  # [m] from the middles of bodies of hands to their edges, about
 
 
 class _View:

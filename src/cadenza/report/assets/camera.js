@@ -5,7 +5,7 @@ const MARGINS = [0.97, 0.95]; // of width and height of the picture, that is for
 const FILLED = 0.88; // of width and height, at least, with what is around; or it turns
 const CLOSEST = 0.05; // [m] in front of the camera that is seen
 const ROUNDS = 8; // of fitting, after which nothing moves by a pixel
-const MAX_TURN = (70 * Math.PI) / 180; // around hands that are too far apart to fill a tall picture
+const MAX_TURN = (70 * Math.PI) / 180; // around hands that are too far apart to fill a picture
 const HALVINGS = 11; // of it, down to .03 degrees
 const ALONG = 65; // points of a long edge, of which some are beside the picture
 
@@ -21,7 +21,7 @@ const outlineOf = (box) => pointsOf(box, ALONG).filter(({ x, z }) => x < box.max
 /**
  * Places a camera that stands in the direction `away` in a picture of some aspect, and returns what
  * is in the middle of the picture, how far it is [m], and the direction: turned, where hands would
- * not fill a tall picture while they are farthest apart (`widest`). It looks at the points `shown`
+ * not fill the picture while they are farthest apart (`widest`). It looks at the points `shown`
  * of `whole`, or of `hands` if it is `close` or the picture would not be filled, also by the points
  * `around`: from side to side only if it has no notes that fall (`hasNotes`), which would be cut.
  */
@@ -73,14 +73,15 @@ function placed(away, aspect, close, whole, hands, widest) {
       return Math.min(Math.max(shift, Math.min(last - 1, 0)), Math.max(first + 1, 0));
     }));
   }
-  /** Turns as little as fills the height of the picture. */
+  /** Turns as little as fills the picture the way in which it is not filled. */
   function turnToFill(sight) {
     let low = 0, high = MAX_TURN;
-    const isFilled = (angle) => (turn(angle), fit(sight.shown), filled(sight)[1] >= FILLED);
-    if (isFilled(0)) return;
+    const filledAt = (angle) => (turn(angle), fit(sight.shown), filled(sight));
+    const way = filledAt(0).findIndex((share) => share < FILLED);
+    if (way < 0) return;
     for (let halving = 0; halving < HALVINGS; halving++) {
       const middle = (low + high) / 2;
-      if (isFilled(middle)) high = middle;
+      if (filledAt(middle)[way] >= FILLED) high = middle;
       else low = middle;
     }
   }

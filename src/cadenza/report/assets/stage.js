@@ -104,7 +104,7 @@ function createStage(canvas, data, colours) {
     const between = (from, to) => new THREE.Box3(reach.min.clone().setY(from), reach.max.clone().setY(to));
     const middle = (left + right) / 2, farthest = between(middle - widest / 2, middle + widest / 2);
     const beside = (ys, thick) => ys.flatMap((y) => [-thick, thick].map((z) => new THREE.Vector3(rear, y, height + z)));
-    const ends = beside([left + HALF_HAND, right - HALF_HAND], THICK), arms = beside(elbows, ELBOW);
+    const [first, last] = elbows, ends = beside(elbows, THICK), arms = beside([first - ELBOW, last + ELBOW], ELBOW);
     const hasNotes = falling.track.visible && isBefore;
     return [whole, between(left, right), farthest].map((box) => ({ shown: pointsOf(box), around: [...around, ...ends], arms, hasNotes }));
   }
@@ -221,7 +221,7 @@ const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
 const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice
 const REACTION = 0.4; // [s] over which it averages, before and after
 const FARTHEST = 6; // samples to either side; others would not count
-const HALF_HAND = 0.07, THICK = 0.02, ELBOW = 0.05; // [m] half as wide as a hand; around the middles of fingers; of the ends of forearms
+const THICK = 0.02, ELBOW = 0.05; // [m] around the middles of fingers; of the ends of forearms
 
 /**
  * Returns what says of a time [s] where the hands' `left` and `right` edges are along the keyboard [m]
@@ -234,9 +234,10 @@ function createFollower(data) {
   const solids = [...scene.geoms, ...(scene.shells ?? [])].filter(({ body }) => body >= 0);
   const bodiesOf = (chosen) => [...new Set(solids.filter(chosen).map(({ body }) => body))];
   const ofTips = bodiesOf(({ finger }) => finger !== null), palms = bodiesOf(({ palm }) => palm);
+  const isOfHand = (body) => body >= 0 && (palms.includes(body) || ofTips.includes(body) || isOfHand(scene.skeleton[body].parent));
   const rootOfBody = (body) => rootOf(scene.skeleton, body), roots = [...new Set(ofTips.map(rootOfBody))];
-  const tips = roots.map((root) => ofTips.filter((body) => rootOfBody(body) === root));
-  const edges = tips.map(() => ({ left: [], right: [], elbow: [], rear: [], plays: false }));
+  const wholes = roots.map((root) => bodiesOf(({ body }) => isOfHand(body) && rootOfBody(body) === root));
+  const edges = wholes.map(() => ({ ends: [], left: [], right: [], elbow: [], rear: [], plays: false }));
   const reach = new THREE.Box3();
   const place = (body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld);
   let count = 0, height = 0, widest = 0;
@@ -247,11 +248,14 @@ function createFollower(data) {
     hands.root.updateMatrixWorld();
     for (const body of [...ofTips, ...palms]) now.expandByPoint(place(body));
     reach.union(now.expandByScalar(THICK));
-    tips.forEach((bodies, hand) => {
-      const y = bodies.map((body) => place(body).y);
-      const left = Math.min(...y), right = Math.max(...y);
-      edges[hand].left.push(left);
-      edges[hand].right.push(right);
+    wholes.forEach((bodies, hand) => {
+      const ys = bodies.map((body) => place(body).y), left = Math.min(...ys), right = Math.max(...ys);
+      edges[hand].ends.push([left, right]);
+      for (let i = Math.max(count - 1 - FARTHEST, 0); i < count; i++) {
+        const near = edges[hand].ends.slice(Math.max(i - FARTHEST, 0), i + FARTHEST + 1);
+        edges[hand].left[i] = Math.min(...near.map(([from]) => from));
+        edges[hand].right[i] = Math.max(...near.map(([, to]) => to));
+      }
       edges[hand].rear.push(place(roots[hand]).x);
       edges[hand].elbow.push(at.y);
       height = at.z;
@@ -280,7 +284,7 @@ function createFollower(data) {
       const [from, to] = [row, next].map((middle) => around(middle, side, choose, playing));
       return from + blend * (to - from);
     };
-    return { left: edge("left", Math.min) - THICK, right: edge("right", Math.max) + THICK, elbows: [edge("elbow", Math.min) - ELBOW, edge("elbow", Math.max) + ELBOW], rear: edge("rear", Math.min), reach, height, widest: widest + 2 * THICK };
+    return { left: edge("left", Math.min) - THICK, right: edge("right", Math.max) + THICK, elbows: [edge("elbow", Math.min), edge("elbow", Math.max)], rear: edge("rear", Math.min), reach, height, widest: widest + 2 * THICK };
   };
 }
 
