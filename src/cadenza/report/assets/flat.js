@@ -7,7 +7,8 @@ const SIDES = 28; // of the outline of a hull
 const RIM_AND_INSIDE = [[0.45, 0.8], [0.85, 0]]; // brightness, and by how many pixels wider: a stroke takes longer
 
 function createFlatRenderer(canvas) {
-  const context = canvas.getContext("2d");
+  const picture = canvas.getContext("2d"), veil = document.createElement("canvas").getContext("2d");
+  let context = picture; // what is drawn on
   const sun = [0.3, -0.4, 0.87];
   const records = new Map(), shapes = [];
   const point = new Float64Array(3); // as it is projected
@@ -193,19 +194,18 @@ function createFlatRenderer(canvas) {
     }
   }
 
-  /** Those that one sees through, of one colour and without adding up where they overlap. */
+  /** Those that one sees through, on a veil, so that what overlaps does not add up. */
   function drawTranslucent() {
-    context.beginPath();
-    let last = null;
-    for (const record of shapes) {
-      if (!record.solid.material.transparent) continue;
-      last = record;
-      addOutline(record, 0);
-    }
-    if (!last) return;
-    context.globalAlpha = last.solid.material.opacity;
-    context.fillStyle = paint(last, 0.9);
-    context.fill();
+    let opacity = 0;
+    for (const { solid: { material } } of shapes) if (material.transparent) opacity = Math.max(opacity, material.opacity);
+    if (!opacity) return;
+    context = veil;
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, width, height);
+    for (const record of shapes) if (record.solid.material.transparent) drawRound(record);
+    context = picture;
+    context.globalAlpha = opacity;
+    context.drawImage(veil.canvas, 0, 0, width, height);
     context.globalAlpha = 1;
   }
 
@@ -222,7 +222,10 @@ function createFlatRenderer(canvas) {
 
   return {
     setPixelRatio(value) { ratio = value; },
-    setSize(w, h) { [canvas.width, canvas.height] = [w * ratio, h * ratio]; [width, height] = [w, h]; },
+    setSize(w, h) {
+      for (const { canvas: each } of [picture, veil]) [each.width, each.height] = [w * ratio, h * ratio];
+      [width, height] = [w, h];
+    },
     render(scene, camera) {
       camera.updateMatrixWorld();
       scene.updateMatrixWorld();

@@ -347,7 +347,8 @@ function hull({ balls, ...material }) {
   }
   const solid = new THREE.Mesh(geometry, materialOf(look(material)));
   solid.castShadow = solid.receiveShadow = true;
-  solid.userData = { type: "hull", balls, order: 3 };
+  const isBand = balls.length > FEW_BALLS && balls.every(([, , z]) => z === balls[0][2]);
+  solid.userData = { type: "hull", balls, order: isBand ? 2.5 : 3 }; // only the edge of a band is seen about what it holds
   return solid;
 }
 
