@@ -14,17 +14,17 @@ VIEWS = {
     "audience": (-0.66, 0.0, 0.75),
     "side": (0.2, -0.8, 0.55),
 }
-"""Name of each -> the direction in which it stands, of any length. `close` looks at the hands; the
-others at the whole keyboard, or at the hands where a picture is too tall to be filled by it."""
-FIELD_OF_VIEW = 28.0  # of all of them, from the lower edge of the picture to the upper one [degree]
+"""Name of each -> the direction to it, of any length. `close` looks at the hands; the others at the
+whole keyboard, or at the hands where the keyboard does not fill the picture."""
+FIELD_OF_VIEW = 28.0  # of all views, from the lower edge of the picture to the upper one [degree]
 
-_ROOM = np.array([0.97, 0.95])  # of width and height of the picture, that is for what it looks at
-_FILLED = 0.88  # of width and height, at least, with what is around; or it turns
+_ROOM = np.array([0.97, 0.95])  # share of width and height of the picture for the subject
+_FILLED = 0.88  # share of width and height, with surroundings, below which the camera turns
 _ALONG = 65  # points of a long edge; some are beside the picture
-_CLOSEST = 0.05  # [m] in front of the camera that is seen
-_ROUNDS = 8  # of fitting, after which nothing moves by a pixel
+_CLOSEST = 0.05  # the nearest visible distance from the camera [m]
+_ROUNDS = 8  # of fitting, until nothing moves by a pixel
 _MAX_TURN = np.radians(70)  # around hands that are too far apart to fill a picture
-_HALVINGS = 11  # of it, down to .03 degrees
+_HALVINGS = 11  # of its range, down to .03 degrees
 
 
 def points_of_box(low: Any, high: Any, along: int = 2) -> Points:
@@ -40,10 +40,10 @@ def outline_of(low: Any, high: Any) -> Points:
 
 
 class Sight(NamedTuple):
-    """What a camera sees."""
+    """A scene before a camera."""
 
-    shown: Points  # what has to be in the picture
-    around: Points  # what may fill the rest of it
+    subject: Points  # has to be in the picture
+    surroundings: Points  # may fill the rest of it
 
 
 class Camera:
@@ -57,27 +57,27 @@ class Camera:
         self._turn(0.0)
 
     def _turn(self, angle: float) -> None:
-        """Turn from the side of its view around what it looks at, by so much [rad]."""
+        """Turn around the subject, by an angle from the direction of the view [rad]."""
         (x, y, z), cos, sin = self._from, np.cos(angle), np.sin(angle)
         away = np.array([cos * x - sin * y, sin * x + cos * y, z])
         side = np.array([-away[1], away[0], 0.0]) / np.hypot(away[0], away[1])
         self.axes = np.array([side, np.cross(away, side), away])
-        """(3, 3) its directions to the right, up, and away from what it looks at."""
+        """(3, 3) its directions to the right, up, and away from the subject."""
 
-    def place(self, whole: Sight, hands: Sight) -> tuple[Points, float]:
-        """Place the camera so that what it looks at fills the picture.
+    def place(self, overview: Sight, hands: Sight) -> tuple[Points, float]:
+        """Place the camera so that its subject fills the picture.
 
-        Where hands are too far apart to fill a tall one, it turns as far as it has to. Returns the
-        point (3,) in the middle of the picture [m], and how far it is [m].
+        Where hands are too far apart to fill it, it turns as little as fills it. Returns the point
+        (3,) in the middle of the picture [m], and its distance [m].
 
         Args:
-            whole: what it looks at from afar.
-            hands: what it looks at close by, and has to show.
+            overview: the subject from afar.
+            hands: the subject close by, which is always shown.
         """
         self._turn(0.0)
-        sight, (target, distance) = whole, self._fit(whole.shown)
+        sight, (target, distance) = overview, self._fit(overview.subject)
         nearest = distance
-        if self._follows or self._filled(whole, target, distance).min() < _FILLED:
+        if self._follows or self._filled(overview, target, distance).min() < _FILLED:
             sight, (target, nearest) = hands, self._fit_turning(hands)
         if self._follows:
             distance = nearest
@@ -89,8 +89,8 @@ class Camera:
         return target, distance
 
     def _fit_turning(self, sight: Sight) -> tuple[Points, float]:
-        """Fit what is seen, turned as little as fills the picture the way that it is not filled."""
-        target, distance = self._fit(sight.shown)
+        """Fit the subject, turned as little as fills the picture along its less filled axis."""
+        target, distance = self._fit(sight.subject)
         filled = self._filled(sight, target, distance)
         way = filled.argmin()
         if filled[way] >= _FILLED:
@@ -99,7 +99,7 @@ class Camera:
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             self._turn(middle)
-            target, distance = self._fit(sight.shown)
+            target, distance = self._fit(sight.subject)
             if self._filled(sight, target, distance)[way] < _FILLED:
                 low = middle
             else:
@@ -107,26 +107,26 @@ class Camera:
         return target, distance
 
     def _shift(self, sight: Sight, target: Points, distance: float) -> Points:
-        """How far to move so that as little as can be is empty, at both edges the same."""
+        """The shift [m] that leaves the least empty space, the same at both edges."""
         low, high = self._extent(sight, target, distance)
         aside = np.minimum(high - 1, 0) + np.maximum(low + 1, 0)
         shift = np.where(high - low < 2, (low + high) / 2, aside)
-        seen = self._seen(sight.shown, target, distance)
+        seen = self._seen(sight.subject, target, distance)
         shift = np.clip(shift, np.minimum(seen.max(0) - 1, 0), np.maximum(seen.min(0) + 1, 0))
         return (shift * self._slope * distance) @ self.axes[:2]
 
     def _filled(self, sight: Sight, target: Points, distance: float) -> Points:
-        """How much of width and height (2,) of the picture is filled."""
+        """The share of width and height (2,) of the picture that is filled."""
         low, high = self._extent(sight, target, distance)
         return (high - low) / 2
 
     def _seen(self, points: Points, target: Points, distance: float) -> Points:
-        """(N, 2) where points are in the picture, which reaches from -1 to 1 both ways."""
+        """(N, 2) the places of points in the picture, from -1 to 1 both ways."""
         x, y, z = ((points - target) @ self.axes.T).T
         return np.stack([x, y], axis=1) / np.maximum(distance - z, _CLOSEST)[:, None] / self._slope
 
     def _fit(self, points: Points) -> tuple[Points, float]:
-        """Where points are in the middle, as large as there is room for."""
+        """The point to look at and the distance at which points fill the picture [m]."""
         target, distance = (points.min(0) + points.max(0)) / 2, 1.0
         for _ in range(_ROUNDS):
             seen = self._seen(points, target, distance)
@@ -136,7 +136,7 @@ class Camera:
         return target, distance
 
     def _extent(self, sight: Sight, target: Points, distance: float) -> tuple[Any, Any]:
-        """The bounds (2,) of what is seen, each without what is outside the other way."""
+        """The bounds (2,) of visible points; those outside the other way do not count."""
         seen = self._seen(np.concatenate(sight), target, distance)
         inside = np.abs(seen[:, ::-1]) <= 1
         inside |= ~inside.any(0)

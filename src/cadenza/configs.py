@@ -1,4 +1,4 @@
-"""Checks of configurations: every field has the type that its annotation says."""
+"""Checks of configurations: every field has the type of its annotation."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -78,7 +78,7 @@ def wrong_types(value: Any) -> Iterator[str]:
 
 
 def in_short(config: Any) -> str:
-    """A `__repr__` for a dataclass of options: those that are not the default."""
+    """A `__repr__` for a dataclass of options, of those with other values than their defaults."""
     default = type(config)()
     values = ((each.name, getattr(config, each.name)) for each in fields(config))
     changed = (f"{name}={value!r}" for name, value in values if value != getattr(default, name))

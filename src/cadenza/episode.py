@@ -29,7 +29,7 @@ from cadenza.files import (
 )
 from cadenza.fingers import SIDES
 
-_LOWEST_PITCH = 21  # A0, for recordings that do not say, which are all of pianos
+_LOWEST_PITCH = 21  # A0, for older recordings, which are all of pianos
 _NUM_PITCHES = 128  # of MIDI
 _MAX_SECONDS = 4 * 3600.0
 _MAX_BYTES = 2 * 2**30  # an hour at 20 steps a second takes a sixth of it
@@ -129,14 +129,14 @@ class Episode:
       beginning on [s], NaN where they did not; float32
     - `key_velocity` (T, K), the MIDI velocity of keys at their onsets, else NaN; float32
     - `right_key_qpos`, `left_key_qpos` (T, K) [rad], of hands that play apart: what each does with
-      the keys; `key_qpos` is the larger of the two; so are ``right_key_onset`` and the others
+      the keys; `key_qpos` is the larger of the two; likewise ``right_key_onset`` and the others
     - `sustain_activation` (T,) bool, whether the pedal is down
     - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (T, F, 3) [m]
     - `touch` (T, F) normal forces on the fingertips [N], where there are sensors
     - `body_xpos` (T, B, 3) [m] and `body_xquat` (T, B, 4), w x y z, of the hands' bodies, float32
     - `reward_total` and ``reward_<term>`` (T,)
-    - ``randomization_<name>`` (...) what was drawn for the episode, if anything was, see
+    - ``randomization_<name>`` (...) the draws for the episode, if any, see
       `cadenza.tasks.randomization.Randomization`; `DomainRandomization` with this
       `randomization_seed` as its seed draws the same
     """
@@ -159,7 +159,7 @@ class Episode:
 
     @property
     def lowest_pitch(self) -> int:
-        """MIDI number of the first key; A0 where the recording does not say."""
+        """MIDI number of the first key; A0 where the recording has none."""
         return int(self.arrays.get("lowest_pitch", _LOWEST_PITCH))
 
     @property
@@ -182,7 +182,7 @@ class Episode:
 
 
 def load_episode(path: Path) -> Episode:
-    """Read what `Episode.save` wrote; raises CadenzaError if it is not there, or something else."""
+    """Read an episode that was saved; raises CadenzaError if it is missing, or something else."""
     arrays = read_arrays(path, _ARRAYS, _MAX_BYTES)
     song, dt = str(arrays.pop("song")), float(arrays.pop("dt"))
     scene = parsed_json(str(arrays.pop("scene", "{}")), dict[str, Any], f"{path}, scene")

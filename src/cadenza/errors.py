@@ -33,10 +33,9 @@ class CadenzaWarning(UserWarning):
     """
 
 
-_MAX_QUOTED = 100  # letters of what was read: enough to find it again
-_MAX_OTHERS = 300  # letters of a message that others word, and may fill with what they have read
-
-_MAX_SHOWN = 1500  # letters of a message, which is a screen of them
+_MAX_QUOTED = 100  # letters of a quoted value: enough to find it again
+_MAX_OTHERS = 300  # letters of a message of a library, which may quote its input
+_MAX_SHOWN = 1500  # letters of any message: a screen
 
 
 def quoted(value: object) -> str:
@@ -125,9 +124,9 @@ def with_place(error: BaseException) -> str:
 
 
 def in_a_line(error: BaseException, where: object = "") -> str:
-    """What went wrong with the file `where`, in a line, so that others can go on.
+    """A line on an error in the file `where`, for commands that go on with other files.
 
-    A fault of the program is told with its place in the code.
+    A fault of the program has its place in the code.
     """
     if isinstance(error, CadenzaError | OSError):
         return on_one_line(explained(error))
@@ -137,7 +136,7 @@ def in_a_line(error: BaseException, where: object = "") -> str:
 
 @contextmanager
 def errors_in(where: object) -> Iterator[None]:
-    """Begin the messages of errors in the block with `where` they are, such as a file.
+    """Begin the messages of errors in the block with their place, such as a file.
 
     Raises:
         CadenzaError: the block raises one.

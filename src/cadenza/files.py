@@ -1,7 +1,7 @@
-"""Writing files so that nobody ever sees half of one, and reading files that may be broken.
+"""Writing files as a whole or not at all, and reading files that may be broken.
 
-Who reads a file says what it is to hold, as a type for JSON and as a table for arrays. Whatever
-else it holds is refused here, in one line.
+A reader declares the content that it expects, as a type for JSON and as a table for arrays. Other
+content raises an error of one line.
 """
 
 import errno
@@ -30,9 +30,9 @@ from cadenza.errors import CadenzaError, is_full, quoted, shortened
 
 T = TypeVar("T")
 
-TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is written
+TEMPORARY = ".cadenza-"  # the prefix of the name of a file while it is written
 MAX_JSON = 32 * 2**20
-"""Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
+"""Bytes of a file that is read as a whole, enough for a song of half a million notes."""
 TENSORS = ".safetensors"  # the ending of the names of our own files of arrays
 _FACTS, _SHA256 = "facts", "sha256"  # in the header of such a file
 _ANOTHER = "it is damaged, modified or from another version; use another copy"
@@ -54,7 +54,7 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     mode = _permissions(path)
 
     def create(name: str, flags: int) -> int:
-        # Nobody may read it for a moment who may not read it afterwards.
+        # Its permissions are the final ones from the beginning.
         return os.open(name, flags, 0o666 if mode is None else mode)
 
     try:
@@ -87,8 +87,7 @@ def _permissions(path: Path) -> int | None:
 def new_folder(path: Path, replaces: bool = False) -> Iterator[Path]:
     """Yield a folder that becomes `path` when the block ends without an error.
 
-    Raises CadenzaError if there is something at `path` that it does not replace, other than an
-    empty folder.
+    Raises CadenzaError if `path` exists and is not to be replaced, unless it is an empty folder.
     """
     if path.exists() and not replaces and not (path.is_dir() and not any(path.iterdir())):
         raise CadenzaError(f"{path}: exists already; choose another folder with --output")
@@ -113,14 +112,14 @@ def remove_half_written(folder: Path) -> None:
 
 @contextmanager
 def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Yield whether this process has the folder to itself, which is made if need be.
+    """Yield whether this process holds the lock of a folder, which is made if need be.
 
     Args:
-        folder: others that lock it keep out of it.
-        patience: The time to wait for them [s].
+        folder: the folder to lock.
+        patience: the time to wait for other processes [s].
 
     Raises:
-        CadenzaError: it cannot be locked, as nothing can be written there.
+        CadenzaError: nothing can be written in the folder.
         OSError: the disk is full.
     """
     path = folder / "lock"
@@ -140,7 +139,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
 @contextmanager
 def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
     """Yield whether this process holds the lock file, after `patience` [s] at most; or OSError."""
-    from filelock import FileLock, Timeout  # which takes a while to import
+    from filelock import FileLock, Timeout  # its import is slow
 
     lock = FileLock(path)
     try:
@@ -159,9 +158,9 @@ def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[IO[bytes]]:
-    """Yield a file to be read, which is one that ends: no pipe that nobody writes to, no device.
+    """Yield a regular file to be read: pipes and devices may never end.
 
-    Raises OSError if it cannot be opened, or is none.
+    Raises OSError if it cannot be opened, or is not a regular file.
     """
     at_once = getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as file:
@@ -189,7 +188,7 @@ def _readable(path: Path, max_bytes: int | None) -> Iterator[IO[bytes]]:
 
 
 def content_of(path: Path, max_bytes: int = MAX_JSON) -> bytes:
-    """Read all of a file, and nothing of one of over `max_bytes`.
+    """Read a file of at most `max_bytes`.
 
     Raises CadenzaError if it is not there, cannot be read, or is larger.
     """
@@ -198,7 +197,7 @@ def content_of(path: Path, max_bytes: int = MAX_JSON) -> bytes:
 
 
 def sha256_of(*paths: Path, max_bytes: int | None = None) -> str:
-    """The SHA-256 of what files hold, one after the other.
+    """The SHA-256 of the contents of files, one after the other.
 
     Raises CadenzaError if one is not there, cannot be read, or takes over `max_bytes`.
     """
@@ -228,11 +227,11 @@ def files_in(folder: Path) -> Iterator[Path]:
 
 
 def unpacked(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
-    """Unpack a member of at most `max_bytes`, and no more than that.
+    """Unpack a member of at most `max_bytes`.
 
     Raises:
-        CadenzaError: it holds more, or is packed in a way that may unpack any amount at once.
-        Exception: it is damaged, which shows in many ways.
+        CadenzaError: it holds more, or is packed by another method than ZIP's usual one.
+        Exception: it is damaged; the type depends on the damage.
     """
     if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise CadenzaError("packed in an unusual way; pack it again as a plain ZIP file (deflate)")
@@ -252,10 +251,10 @@ _DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 def whole_number_in(text: str, what: str, low: int, high: int) -> int:
     """The whole number from `low` to `high` that a file or a user writes as `text`.
 
-    All text from outside becomes a number here or in `number_in`, never by int() or float() alone:
-    they take "1_000", other digits than 0 to 9, nan and infinity, and int() fails in its own way
-    from 4,301 digits on. Raises CadenzaError if it is something else; the message begins with
-    `what` it was to be.
+    Text from outside is converted here or in `number_in`, never by int() or float() alone: these
+    accept "1_000", other digits than 0 to 9, nan and infinity, and int() raises another error from
+    4,301 digits on. Raises CadenzaError if it is something else; the message begins with `what`
+    was expected.
     """
     if not _WHOLE.fullmatch(text) or not low <= (number := int(text)) <= high:
         raise CadenzaError(f"{what} {quoted(text)}; expected a whole number, {low:,} to {high:,}")
@@ -265,8 +264,8 @@ def whole_number_in(text: str, what: str, low: int, high: int) -> int:
 def number_in(text: str, what: str, low: float, high: float) -> float:
     """The number from `low` to `high` that a file or a user writes as `text`.
 
-    Raises CadenzaError if it is something else, also nan; the message begins with `what` it was to
-    be.
+    Raises CadenzaError if it is something else, also nan; the message begins with `what` was
+    expected.
     """
     if not _DECIMAL.fullmatch(text) or not low <= (number := float(text)) <= high:
         raise CadenzaError(f"{what} {quoted(text)}; expected a number, {low:,g} to {high:,g}")
@@ -279,13 +278,13 @@ def number_in(text: str, what: str, low: float, high: float) -> float:
 def read_json(path: Path, kind: type[T]) -> T:
     """Read a JSON file as a value of a type; see `checked`.
 
-    Raises CadenzaError if it cannot be read, is too large, is no JSON, or holds something else.
+    Raises CadenzaError if it cannot be read, is too large, is not JSON, or holds something else.
     """
     return parsed_json(content_of(path), kind, path)
 
 
 def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
-    """Parse JSON as a value of a type, see `checked`; raises CadenzaError if it is none."""
+    """Parse JSON as a value of a type, see `checked`; raises CadenzaError if it is not."""
     try:
         value = json.loads(content, object_pairs_hook=_named_once)
     except CadenzaError as error:
@@ -304,26 +303,25 @@ def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def checked(value: Any, kind: type[T], where: object, advice: str = _ANOTHER) -> T:
-    """Convert what JSON has to a dataclass, a named tuple, or lists and dictionaries of some.
+    """Convert a JSON value to a dataclass, a named tuple, or lists and dictionaries of these.
 
-    Nothing is converted but lists to tuples and whole numbers to floats. Fields that are missing
-    get their defaults. Raises CadenzaError if it is of another type, has fields that `kind` has
-    not, or numbers that are not finite: `where`, which value it is, and the `advice`.
+    Only lists are converted to tuples, and whole numbers to floats. Missing fields get their
+    defaults. Raises CadenzaError if a value is of another type, unknown to `kind`, or a number that
+    is not finite; the message has `where`, the path of the value, and the `advice`.
     """
     try:
         _check_values(value, "$")
         result = msgspec.convert(value, kind)
         _check_names(value, msgspec.to_builtins(result), "$")
     except (msgspec.ValidationError, CadenzaError) as error:
-        wrong = shortened(str(error))  # it may quote what it found
-        raise CadenzaError(f"{where}: {wrong}; {advice}") from error
+        raise CadenzaError(f"{where}: {shortened(str(error))}; {advice}") from error
     except RecursionError as error:
         raise CadenzaError(f"{where}: too deeply nested; {advice}") from error
     return result
 
 
 def _check_values(value: Any, at: str) -> None:
-    """Refuse what Python's JSON has beyond that of others, and nobody can write again."""
+    """Refuse values that only Python's JSON reads, or that cannot be written again."""
     if isinstance(value, dict):
         for name, part in value.items():
             _check_values(name, at)
@@ -400,8 +398,8 @@ def read_arrays(
 ) -> dict[str, NDArray[Any]]:
     """Read the `expected` arrays of a .npz file by name; nothing in it is executed.
 
-    They may take `max_bytes` together, by default as many as the file. Raises CadenzaError if the
-    file is not there, is no such file, holds more, or something else.
+    Together they take at most `max_bytes`, by default the size of the file. Raises CadenzaError if
+    the file is missing, of another format, larger, or holds something else.
     """
     try:
         with opened(path) as stream, np.load(stream, allow_pickle=False) as file:
@@ -417,7 +415,7 @@ def read_arrays(
             arrays = {name: np.asarray(file[name]) for name in sizes}
         text = [str(t) for each in arrays.values() if each.dtype.kind in TEXT for t in each.flat]
         if not (all(map(str.isprintable, arrays)) and all(map(_is_text, text))):
-            raise ValueError("names or text that nobody writes")
+            raise ValueError("names or text that cannot be printed")
     except FileNotFoundError as error:
         raise CadenzaError(f"{path}: there is no such file") from error
     except CadenzaError as error:
@@ -429,7 +427,7 @@ def read_arrays(
 
 
 def tensor_bytes(arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> bytes:
-    """A .safetensors file of arrays of numbers, with `facts` as JSON in its header.
+    """The content of a .safetensors file of arrays of numbers, with `facts` as JSON in its header.
 
     The header also has the SHA-256 of both, which `read_tensors` checks.
     """
@@ -467,8 +465,8 @@ def read_tensors(
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Read the arrays of a .safetensors file by name, and the facts in its header.
 
-    It may hold the `expected` arrays, and take `max_bytes`. Raises CadenzaError if the file is not
-    there, is no such file, was damaged or changed, or holds more or something else.
+    The file takes at most `max_bytes`. Raises CadenzaError if it is missing, of another format,
+    damaged or modified, larger, or holds other than the `expected` arrays.
     """
     content = content_of(path, max_bytes)
     try:
@@ -550,22 +548,23 @@ def plain(value: Any) -> Any:
 
 
 def folder_name(text: str) -> str:
-    """The name of a folder that says `text`, whatever that holds.
+    """The name of a folder that shows any `text`.
 
-    It leads nowhere else and can be shown: separators, what no file system of ours takes, and what
-    cannot be printed become `_`; dots and spaces at the ends go, and what exceeds 255 bytes.
+    It is a name, not a path, and can be printed: separators, characters that some file system
+    refuses, and unprintable ones become `_`; dots and spaces at the ends, and all after 255 bytes,
+    are removed.
     """
     safe = "".join(c if c.isprintable() and c not in '/\\:*?"<>|' else "_" for c in text)
     return safe.encode()[:255].decode(errors="ignore").strip(". ") or "_"
 
 
 def modification_times(paths: Iterable[Path]) -> dict[Path, float]:
-    """When files were changed last [s since 1970], the newest first.
+    """The times of the last changes of files [s since 1970], the newest first.
 
-    Files that have gone meanwhile, or may not be looked at, are left out. Links are not followed.
+    Files that were removed meanwhile, or are not accessible, are left out. Links are not followed.
     """
-    found = {}
+    times = {}
     for path in paths:
         with suppress(OSError):
-            found[path] = path.lstat().st_mtime
-    return dict(sorted(found.items(), key=lambda item: item[1], reverse=True))
+            times[path] = path.lstat().st_mtime
+    return dict(sorted(times.items(), key=lambda item: item[1], reverse=True))

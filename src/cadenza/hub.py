@@ -1,7 +1,7 @@
 """Folders on the Hugging Face hub, such as those of policies: `hub:OWNER/NAME` stands for one.
 
 `hub:OWNER/NAME@REVISION` names a branch, a tag or a commit of it. Only files that Cadenza reads are
-fetched, into the hub's own cache, and whoever reads them checks them as any others: nothing among
+fetched, into the hub's own cache, and they are checked as all others when they are read: none of
 them is executed.
 """
 
@@ -25,31 +25,30 @@ _CARD = "README.md"
 
 @dataclass(frozen=True)
 class Kind:
-    """What a folder may be that the hub keeps."""
+    """A kind of folder on the hub."""
 
     name: str  # the kind in words
     repo_type: Literal["model", "dataset"]
     files: tuple[str, ...]  # patterns of the names of its files; `*` stands for any part of a name
-    max_bytes: int  # that they may take together
+    max_bytes: int  # of all files together
 
 
 def is_on_hub(place: object) -> bool:
-    """Whether a folder is named as one of the hub."""
+    """Whether the name of a folder is that of one on the hub."""
     return isinstance(place, str | Path) and str(place).startswith(_PREFIX)
 
 
 def fetched(place: str | Path, kind: Kind) -> Path:
     """The folder that `place` names: a folder or `hub:OWNER/NAME`, maybe with `@REVISION`, fetched.
 
-    Without the hub, or where it fails, what was fetched before is used. Raises CadenzaError if
-    there is no such thing on the hub, it is not of this kind or takes too much, or it cannot be
-    fetched.
+    Where the hub fails, an earlier copy is used. Raises CadenzaError if the folder does not exist
+    on the hub, is of another kind or too large, or cannot be fetched.
     """
     if not is_on_hub(place):
         return Path(place)
     repo, revision = _parsed(str(place))
     if not sys.stderr.isatty():
-        os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")  # read by what is imported now
+        os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")  # read when it is imported
     with extra_packages("hub", str(place)):
         from huggingface_hub import HfApi
         from huggingface_hub.errors import RepositoryNotFoundError, RevisionNotFoundError
@@ -77,8 +76,8 @@ def pinned(place: str, folder: Path) -> str:
 def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
     """Upload the files of a folder to the hub, as one commit; return where they are.
 
-    The repository is made if there is none, as visible as its owner's are by default. Raises
-    CadenzaError if the hub is not reached, or does not take them.
+    The repository is made if there is none, with its owner's default visibility. Raises
+    CadenzaError if the hub cannot be reached, or refuses the files.
 
     Args:
         folder: a folder of this kind. The card in it is uploaded, too.
@@ -117,7 +116,7 @@ def _is_of(kind: Kind, name: str) -> bool:
 
 
 def _check_size(place: str, sizes: dict[str, int | None], kind: Kind) -> None:
-    """Raise a CadenzaError if nothing is of the kind, or if it takes more than it may."""
+    """Raise a CadenzaError if no file is of the kind, or all of them are too large."""
     own = [size or 0 for name, size in sizes.items() if _is_of(kind, name)]
     if not own:
         raise CadenzaError(f"{place}: holds no {kind.name} of Cadenza; name another")
@@ -130,7 +129,7 @@ def _check_size(place: str, sizes: dict[str, int | None], kind: Kind) -> None:
 
 @contextmanager
 def _in_a_line(place: str, kind: Kind) -> Iterator[None]:
-    """Turn what the hub and its library raise into a `CadenzaError`."""
+    """Turn errors of the hub and its library into a `CadenzaError`."""
     from huggingface_hub import errors
 
     try:

@@ -1,4 +1,4 @@
-"""The line that installs what an extra of Cadenza needs, wherever Cadenza was installed from."""
+"""The command that installs an extra of Cadenza, from where Cadenza was installed."""
 
 import json
 import shutil
@@ -37,14 +37,14 @@ def install_line(extra: str) -> str:
 
 
 def _installer(installed: Distribution) -> str:
-    """How what has installed Cadenza installs more into this environment."""
-    if (installed.read_text("INSTALLER") or "").strip() == "uv":  # which gives it no pip
+    """The command of the installer of Cadenza that adds packages to this environment."""
+    if (installed.read_text("INSTALLER") or "").strip() == "uv":  # which installs no pip
         return f"uv pip install --python {quote(sys.prefix)}"
     return _pip()
 
 
 def _pip() -> str:
-    """How pip installs into this environment, by the name by which a shell finds it."""
+    """The command of pip for this environment, as a shell finds it."""
     pip = shutil.which("pip")
     here = pip and Path(pip).parent == Path(sys.executable).parent
     return "pip install" if here else f"{quote(sys.executable)} -m pip install"

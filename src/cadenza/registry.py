@@ -1,8 +1,8 @@
 """Registries of names: agents, hands, keyboards, song libraries, learners, setups.
 
 A name is built in; or another installed package has added it by an entry point; or it is
-`module:Name`. Its object is imported when it is loaded, so that a broken package harms nobody who
-does not use it.
+`module:Name`. Its object is imported when it is loaded, so that a broken package does no harm where
+it is not used.
 """
 
 import importlib
@@ -109,7 +109,7 @@ class Registry:
         for package in metadata.distributions():
             try:
                 name, points = package.metadata["Name"], package.entry_points
-            except Exception:  # its metadata is broken, which is not for us to say
+            except Exception:  # its metadata is broken
                 continue
             if name in seen:  # behind another version of it on the path
                 continue

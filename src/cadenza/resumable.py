@@ -1,19 +1,19 @@
 """The store of work that is stopped and resumed at any moment: training, benches, practice.
 
-A folder holds a manifest, which says what the work is and is written before it begins, and a lock,
-which one process has at a time. Work that has a state of its own keeps it in a checkpoint. Every
-file is replaced as a whole (`cadenza.files.write_atomically`) and a checkpoint has a digest, so
-that a kill at any moment leaves what was finished last, and damage is noticed.
+A folder holds a manifest, which describes the work and is written before it begins, and a lock,
+which one process holds at a time. Work with a state of its own keeps it in a checkpoint. Every file
+is replaced as a whole (`cadenza.files.write_atomically`) and a checkpoint has a digest: a kill at
+any moment leaves the last complete files, and damage is noticed.
 
     FOLDER/run.json                  the manifest
     FOLDER/checkpoint.safetensors    arrays, and facts as JSON in its header
     FOLDER/lock
 
 Orbax, the library for checkpoints of JAX, is not used: it saves PyTrees for many hosts and devices
-as a folder of many small files, and restores them into a structure that the caller has to have
-already. Here one host keeps a few megabytes, whose shapes the file tells; arrays are NumPy's as
-often as JAX's (practice and playing work without JAX); and facts, the manifest, the lock, and
-refusing what was damaged or is of another command would be ours all the same.
+as a folder of many small files, and restores them into a structure that the caller already has.
+Here one host keeps a few megabytes, with their shapes in the file; arrays are NumPy's as often as
+JAX's (practice and playing work without JAX); and facts, the manifest, the lock, and the refusal of
+damaged checkpoints or those of other commands would be needed all the same.
 """
 
 import time
@@ -43,7 +43,7 @@ Arrays = dict[str, NDArray[Any]]
 
 CHECKPOINT = "checkpoint.safetensors"  # the name of the file of a checkpoint
 _COMMAND = "command"  # in manifests and checkpoints
-_MAX_CHECKPOINT = 2**30  # bytes; those of learners take some ten million
+_MAX_CHECKPOINT = 2**30  # bytes; learners' take some ten million
 
 
 class ResumableFolder:
@@ -90,7 +90,7 @@ class ResumableFolder:
                 raise CadenzaError(f"{self.path}: {self._locked_out}")
             yield
 
-    # What the work is
+    # The manifest
 
     @property
     def begun(self) -> bool:
@@ -126,7 +126,7 @@ class ResumableFolder:
     ) -> None:
         """Write the manifest of new work, or of the same work: its `fields`, as JSON has them.
 
-        Only those that are `changeable` may differ from the manifest so far. Raises CadenzaError if
+        Only `changeable` ones may differ from the manifest so far. Raises CadenzaError if
         the folder holds other work, or a damaged manifest.
         """
         expected = plain(fields)
@@ -139,7 +139,7 @@ class ResumableFolder:
                 )
         self.write_manifest(expected)
 
-    # How far it is
+    # The checkpoint
 
     def save(self, facts: Mapping[str, Any], arrays: Arrays) -> None:
         """Write a checkpoint in place of the one before; raises CadenzaError if it is too large."""
@@ -160,7 +160,7 @@ class ResumableFolder:
 
     @contextmanager
     def errors_of_writing(self) -> Iterator[None]:
-        """Say what to do where the block cannot write in the folder, by a CadenzaError."""
+        """Raise a CadenzaError with advice where the block cannot write in the folder."""
         try:
             yield
         except OSError as error:
@@ -173,7 +173,7 @@ class ResumableFolder:
     def errors_of_resuming(self) -> Iterator[None]:
         """Name the folder in errors of a block that restores its checkpoint.
 
-        Raises CadenzaError if the checkpoint does not fit the work, which shows in many ways.
+        Raises CadenzaError if the checkpoint does not fit the work.
         """
         try:
             yield
@@ -185,7 +185,7 @@ class ResumableFolder:
 
 
 class RateLimited:
-    """A function that is called again and again, and works only now and then."""
+    """A function that is called often, and limits how often it works."""
 
     def __init__(self, work: Callable[[], None], interval: float, share: float) -> None:
         """Work at most every `interval` [s], and for at most a `share` of the time."""
@@ -202,7 +202,7 @@ class RateLimited:
 
 
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
-    """The versions of those packages that are installed, by their names."""
+    """The versions of the installed ones among packages, by their names."""
     versions = {}
     for package in packages:
         with suppress(PackageNotFoundError):

@@ -1,8 +1,8 @@
 """Numbers are rounded alike on all x86-64 processors with AVX2.
 
-OpenBLAS and NumPy choose by the processor in which order they sum and how they approximate
-functions. The last bits differ, and after some seconds of music so does what is played. Both read
-from the environment what to choose, once, when they are imported.
+The order of sums and the approximations of functions in OpenBLAS and NumPy depend on the processor.
+Their last bits differ, and after some seconds of music so do the notes that are played. Both
+libraries read their choice from the environment, once, when they are imported.
 """
 
 import os
@@ -14,7 +14,7 @@ from cadenza.errors import CadenzaWarning
 _KERNEL = "Haswell"  # the first processors with AVX2
 _SAME = {_KERNEL, "Zen"}
 _NEWER = {"X86_V4", "AVX512F", "AVX512_SKX"}
-"""What NumPy does without: AVX-512, which is the first of these names since NumPy 2.4."""
+"""NumPy's names of AVX-512, which is disabled; since 2.4 it is the first one."""
 
 
 def round_as_haswell() -> None:
@@ -50,7 +50,7 @@ def check_rounding() -> None:
 
 
 def _has_avx2() -> bool:
-    """Whether Linux says so of the processor."""
+    """Whether the processor has AVX2, according to Linux."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as about:
             return any("avx2" in line for line in about)

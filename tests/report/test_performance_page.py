@@ -185,7 +185,7 @@ def test_folders_of_this_machine_are_not_shown(write, episode, tmp_path):
 
 def test_midi_can_be_downloaded(tmp_path, episode):
     path = tmp_path / "a.html"
-    midi = {"midi": b"MThd\0", "wanted_midi": b"MThd\1"}
+    midi = {"midi": b"MThd\0", "goal_midi": b"MThd\1"}
     page = performance_page(episode, {}, {}, SILENCE, **midi)
     write_page(path, page)
     links = {a["download"]: a["href"] for tag, a in Page(path).elements if tag == "a"}

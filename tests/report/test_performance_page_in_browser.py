@@ -328,7 +328,7 @@ def test_everything_fits_the_window(tmp_path, write, episode, size):
     width, height = SIZES[size]
     phone = size == "phone"
     silence = encode_opus(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
-    midi = {"midi": b"MThd", "wanted_midi": b"MThd"}
+    midi = {"midi": b"MThd", "goal_midi": b"MThd"}
     path = write(episode, misses=MISSES, goal_sound=silence, **midi)
     browser = Browser(tmp_path / "profile")
     browser.call(

@@ -1,9 +1,9 @@
 """The reduction of a song to notes that two hands can play, by a beam search.
 
-From moment to moment each hand strikes some of the notes that begin, and holds what it can. A state
-of the search has the keys that both hands hold, and the pitch classes that have sounded in this
-beat. The value of a transition is the sum over struck notes, less the costs of the hands. The best
-states of each moment are kept (the beam); the best sequence of states is the reduction.
+At each moment, a hand strikes some of the notes that begin, and holds the keys that it can. A state
+of the search consists of the keys that both hands hold, and the pitch classes that have sounded in
+this beat. The value of a transition is the sum over struck notes, less the costs of the hands. The
+best states of each moment are kept (the beam); the best sequence of states is the reduction.
 
 Fidelity under a bound on difficulty, melody and bass before all others, follows Nakamura and
 Yoshii, "Statistical piano reduction controlling performance difficulty" (APSIPA Transactions on

@@ -55,7 +55,7 @@ class _OverSongs:
     songs: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LIBRARY")]
     """The library, or a split of it as LIBRARY:SPLIT."""
     weights: Path | None = None
-    """File of the networks to begin with; by default, those that come with Cadenza."""
+    """File of the initial networks; by default, those that come with Cadenza."""
     quiet: Quiet = False
 
 

@@ -1,4 +1,4 @@
-"""`cadenza practice`: practice of a song, of which the best plan is kept."""
+"""`cadenza practice`: practice of a song, which keeps its best plan."""
 
 from __future__ import annotations
 

@@ -97,13 +97,13 @@ class Dataset:
         num_steps: the number of steps of all episodes together.
         scene: the hands and the keys.
         control_timestep: between two steps [s].
-        shows_fingers: True if the task's observations say which fingers have a key to press.
-        shows_onsets: True if they say when and how loud notes and keys begin to sound.
-        shows_velocities: True if they say how fast joints move.
+        shows_fingers: True if the task's observations have the fingers with a key to press.
+        shows_onsets: True if they have the times and velocities of onsets of notes and keys.
+        shows_velocities: True if they have the velocities of joints.
     """
 
     def __init__(self, episodes: Sequence[RecordedEpisode]) -> None:
-        """Raise a CadenzaError if there is none, or if they do not go together."""
+        """Raise a CadenzaError if there is none, or if their tasks differ."""
         if not episodes:
             raise CadenzaError("no demonstrations: none was kept, or none was asked for")
         _allow_open_files()
@@ -112,12 +112,12 @@ class Dataset:
         self.scene = episodes[0].build_scene()
         dt = [e.facts.task.control_timestep for e in episodes]
         self.control_timestep = _common(episodes, "control_timestep", dt)
-        shown = [e.facts.task.fingering != "off" for e in episodes]
-        self.shows_fingers = _common(episodes, "fingering", shown)
-        shown = [e.facts.task.onset_goals for e in episodes]
-        self.shows_onsets = _common(episodes, "onset_goals", shown)
-        shown = [e.facts.task.joint_velocities for e in episodes]
-        self.shows_velocities = _common(episodes, "joint_velocities", shown)
+        fingers = [e.facts.task.fingering != "off" for e in episodes]
+        self.shows_fingers = _common(episodes, "fingering", fingers)
+        onsets = [e.facts.task.onset_goals for e in episodes]
+        self.shows_onsets = _common(episodes, "onset_goals", onsets)
+        velocities = [e.facts.task.joint_velocities for e in episodes]
+        self.shows_velocities = _common(episodes, "joint_velocities", velocities)
         lengths = np.array([episode.facts.num_steps for episode in episodes], np.intp)
         ends = np.cumsum(lengths)
         self._lengths, self.first, self.num_steps = lengths, ends - lengths, int(ends[-1])

@@ -319,14 +319,14 @@ _MIN_SIZE = 16  # [px] that the encoder takes
 _ENCODER = "libx264"
 _KEY_FRAME_INTERVAL = 2  # as LeRobot has it: its learners read pictures in any order
 _OPTIONS = {"crf": "20", "g": str(_KEY_FRAME_INTERVAL), "bf": "0"}
-_THREADS = 2  # that encode; by default, x264 takes all cores
+_THREADS = 2  # of the encoder; by default, x264 takes all cores
 _MAX_BRIGHTNESS = 255  # which LeRobot calls 1
 
 
 class Video:
     """The view of one camera in all episodes, the feature `name`.
 
-    The pictures are those that environments show before each step, see `PianoVectorEnv`.
+    The pictures show the scene before each step, as in `PianoVectorEnv`.
     """
 
     def __init__(self, dataset: Dataset, picture: Picture, fps: int, folder: Path) -> None:

@@ -115,7 +115,7 @@ class Measurement:
 def from_mjcf(path: str | Path) -> Hand:
     """Read a hand from its TOML, beside which its MJCF or URDF lies.
 
-    Raises CadenzaError if a file is missing or wrong, or the hand is not measured as it is.
+    Raises CadenzaError if a file is missing or wrong, or has changed since the hand was measured.
     """
     path = Path(path)
     measured = measurement_of(path)
@@ -425,7 +425,7 @@ class HandFile:
                 yield joint, leader, offset, others
 
     def _wrapped(self, tendon: int) -> tuple[list[int], list[float]]:
-        """The joints of a fixed tendon and their coefficients, none of any other."""
+        """The joints of a fixed tendon and their coefficients; empty for other tendons."""
         model, first = self._model, int(self._model.tendon_adr[tendon])
         wraps = slice(first, first + int(model.tendon_num[tendon]))
         if (model.wrap_type[wraps] != mujoco.mjtWrap.mjWRAP_JOINT).any():
@@ -542,7 +542,7 @@ class HandFile:
         return links
 
     def _chains(self, measurement: Measurement) -> Iterator[FingerChain]:
-        """Yield the fingers, with the same number of last links, as many as the shortest has."""
+        """Yield the fingers, each with as many of its last links as the shortest has."""
         long = {name: list(self._with_length(own)) for name, own in self._own.items()}
         count = min(_MAX_LINKS, *map(len, long.values()))
         for name, links in long.items():

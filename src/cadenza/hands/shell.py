@@ -63,9 +63,9 @@ def across(width: float, z: float, radius: float, y: float = 0.0) -> tuple[Ball,
 def ring(
     radius: float, z: float, thickness: float, y: float = 0.0, width: float = 0.0
 ) -> tuple[Ball, ...]:
-    """Balls that make a disc across z, with an edge as round as it is thick [m].
+    """Balls that make a disc across z, with an edge rounded by half of its thickness [m].
 
-    A `width` makes it longer by as much to either side, along x.
+    It reaches further by `width` to either side, along x.
     """
     inner = radius - thickness
     turns = np.linspace(0, 2 * np.pi, _RING, endpoint=False) + np.pi / _RING

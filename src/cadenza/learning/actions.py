@@ -92,7 +92,7 @@ def check_one_score(config: TaskConfig) -> None:
 class ActionMapping:
     """Map a policy's actions in [-1, 1] to controls of a task.
 
-    The pedal is played as written, whatever the policy's action, unless the task rewards it
+    The pedal is played as written, not by the policy, unless the task rewards it
     (`TaskConfig.sustain_term`) and no plan plays it.
 
     Attributes:

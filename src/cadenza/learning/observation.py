@@ -31,7 +31,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationSpec:
-    """The parts of an observation in their order, each with its size, whatever the song is."""
+    """The parts of an observation in their order, each with its size, the same for all songs."""
 
     goal: int  # keys and pedal of the next step and of those ahead of it
     fingering: int
@@ -121,7 +121,7 @@ class GoalTable:
         goals = track.goals
         onsets = goals.onsets if self._shows_onsets else NO_ONSETS
         silence = np.zeros((self._silent_rows, self._num_bits), bool)
-        steps = np.column_stack([goals.keys, goals.sustain, goals.fingers_wanted])
+        steps = np.column_stack([goals.keys, goals.sustain, goals.active_fingers])
         bits = np.packbits(np.concatenate([steps, silence]), axis=1)
         key = _bytes_of(bits, onsets)
         if key not in self._first:
@@ -215,20 +215,20 @@ def _bytes_of(bits: NDArray[np.uint8], onsets: Onsets) -> bytes:
 
 
 def pruned(
-    spec: ObservationSpec, keys_wanted: NDArray[np.bool_], fingers_wanted: NDArray[np.bool_]
+    spec: ObservationSpec, active_keys: NDArray[np.bool_], active_fingers: NDArray[np.bool_]
 ) -> Inputs:
-    """Inputs without goals of keys and fingers that no score asks for, see `GoalTable.goals_used`.
+    """Inputs without goals of inactive keys and fingers, see `GoalTable.goals_used`.
 
-    They are always zero, so that no weight of theirs would ever be used or change. A network
-    without them begins with the same other weights.
+    These are always zero, so that their weights would neither matter nor change. A network without
+    them begins with the same other weights.
     """
     layout = spec.layout
     goal, fingers = np.arange(spec.goal), np.arange(spec.fingering)
     onsets = np.arange(spec.goal_onset + spec.goal_velocity)
     kept = (
-        goal[keys_wanted[goal % spec.goals_of_a_step]],
-        layout["fingering"].start + fingers[fingers_wanted[fingers]],
-        layout["goal_onset"].start + onsets[keys_wanted[onsets % spec.key_state]],
+        goal[active_keys[goal % spec.goals_of_a_step]],
+        layout["fingering"].start + fingers[active_fingers[fingers]],
+        layout["goal_onset"].start + onsets[active_keys[onsets % spec.key_state]],
         np.arange(layout["key_state"].start, spec.size),
     )
     return Inputs(tuple(np.concatenate(kept).tolist()), spec.size)

@@ -1,4 +1,4 @@
-"""Learnt policies: from observations to actions, without anything that learning needs."""
+"""Learnt policies: from observations to actions, without the parts that only learning needs."""
 
 from typing import Any, Literal, Protocol
 

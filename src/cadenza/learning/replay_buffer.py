@@ -186,7 +186,7 @@ class ReplayBuffer:
         self._count, self._size = to.copy(), int(self._frames["complete"].sum())
 
     def skip(self, counts: Rows) -> None:
-        """Continue after `counts` (N,) frames; those that were not restored are lost."""
+        """Continue after `counts` (N,) frames; frames that were not restored are lost."""
         length, complete = self._shape[1], self._frames["complete"]
         # The last before a gap lacks the one after it.
         last = np.where(self._count < counts, self._count - 1, counts)

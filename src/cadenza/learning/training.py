@@ -107,7 +107,7 @@ class Training(CheckpointedRun):
         self._state = self._learner.init(self.config.seed)
         self._experience.begin()
         if self.config.residual:
-            self._evaluate()  # which plays what it corrects: only better policies are kept
+            self._evaluate()  # the uncorrected reference: only better policies are kept
 
     # The loop
 

@@ -71,7 +71,7 @@ class Goals:
         return len(self.keys)
 
     @cached_property
-    def fingers_wanted(self) -> NDArray[np.bool_]:
+    def active_fingers(self) -> NDArray[np.bool_]:
         """(T, F) whether each finger has a key to press."""
         fingers = np.zeros((self.num_steps, self.num_fingers), bool)
         step, key = (self.fingers >= 0).nonzero()

@@ -33,8 +33,8 @@ def step_metrics(
     arrays are NumPy's or those of a library like it, which can compile this.
     """
     played, goal = played.astype(bool), goal.astype(bool)
-    hits, sounding, wanted = (x.sum(axis=1) for x in (played & goal, played, goal))
-    return _ratio(hits, sounding), _ratio(hits, wanted), _ratio(2 * hits, sounding + wanted)
+    hits, sounding, due = (x.sum(axis=1) for x in (played & goal, played, goal))
+    return _ratio(hits, sounding), _ratio(hits, due), _ratio(2 * hits, sounding + due)
 
 
 def _pooled(played: NDArray[Any], goal: NDArray[Any]) -> dict[str, float]:
@@ -119,7 +119,7 @@ def _note_metrics(written: list[Note], played: list[Note]) -> dict[str, float]:
         return 2 * precision * recall / (precision + recall) if pairs else 0.0
 
     pairs = matched_notes(written, played, SAME_NOTE)
-    errors = [abs(note.start - mine.start) for note, mine in pairs]
+    errors = [abs(note.start - own.start) for note, own in pairs]
     return {
         "note_onset_f1": f1(len(matched_notes(written, played, ONSET_TOLERANCE))),
         "note_onset_offset_f1": f1(_matching_size(_alike(written, played))),
@@ -275,24 +275,24 @@ def _timing(pairs: Sequence[Pair]) -> dict[str, float | None]:
 
 def _loudness(pairs: Sequence[Pair], written: Score) -> dict[str, float | None]:
     """Metrics of the velocities of `pairs`, and of all notes that are `written`."""
-    wanted, heard = _velocities(pairs)
-    errors = np.abs(heard - wanted)
-    missed = sum(note.velocity for note in written.notes) - wanted.sum()
-    varies = len(pairs) > 1 and np.ptp(wanted) > 0 and np.ptp(heard) > 0
+    reference, estimate = _velocities(pairs)
+    errors = np.abs(estimate - reference)
+    missed = sum(note.velocity for note in written.notes) - reference.sum()
+    varies = len(pairs) > 1 and np.ptp(reference) > 0 and np.ptp(estimate) > 0
     return {
         "velocity_error": float(errors.mean()) if pairs else None,
         "velocity_error_with_misses": (
             float(errors.sum() + missed) / len(written.notes) if written.notes else None
         ),
-        "velocity_correlation": float(np.corrcoef(wanted, heard)[0, 1]) if varies else None,
+        "velocity_correlation": float(np.corrcoef(reference, estimate)[0, 1]) if varies else None,
     }
 
 
 def _note_f1(close: Sequence[Pair], written: Score, played: Score) -> dict[str, float | None]:
     """F1 of whole notes; the `close` pairs begin together."""
     notes = len(written.notes) + len(played.notes)
-    wanted, heard = _velocities(close)
-    accuracy = 1 - float(np.abs(heard - wanted).mean()) / LOUDEST if close else 1.0
+    reference, estimate = _velocities(close)
+    accuracy = 1 - float(np.abs(estimate - reference).mean()) / LOUDEST if close else 1.0
 
     def f1(hits: int) -> float:
         return 2 * hits / notes if notes else 1.0
@@ -304,26 +304,28 @@ def _note_f1(close: Sequence[Pair], written: Score, played: Score) -> dict[str, 
         "note_onset_f1": f1(len(close)),
         "extra_notes_per_100": per_100(len(played.notes) - len(close)),
         "missed_notes_per_100": per_100(len(written.notes) - len(close)),
-        "note_onset_velocity_f1": f1(_equally_loud(wanted, heard, written)),
+        "note_onset_velocity_f1": f1(_equally_loud(reference, estimate, written)),
         "onset_f1_times_velocity_accuracy": f1(len(close)) * accuracy,
     }
 
 
-def _equally_loud(wanted: NDArray[np.float64], heard: NDArray[np.float64], written: Score) -> int:
+def _equally_loud(
+    reference: NDArray[np.float64], estimate: NDArray[np.float64], written: Score
+) -> int:
     """The number of pairs whose velocities agree after the linear regression of mir_eval."""
-    if not len(wanted):
+    if not len(reference):
         return 0
     velocities = [note.velocity for note in written.notes]
     lowest = min(velocities)
-    wanted = (wanted - lowest) / max(1, max(velocities) - lowest)
-    design = np.stack([heard, np.ones(len(heard))], axis=1)
-    fitted = design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
-    return int((np.abs(fitted - wanted) < _VELOCITY_TOLERANCE).sum())
+    reference = (reference - lowest) / max(1, max(velocities) - lowest)
+    design = np.stack([estimate, np.ones(len(estimate))], axis=1)
+    fitted = design @ np.linalg.lstsq(design, reference, rcond=None)[0]
+    return int((np.abs(fitted - reference) < _VELOCITY_TOLERANCE).sum())
 
 
 def _velocities(pairs: Sequence[Pair]) -> NDArray[np.float64]:
     """(2, P) the written and the played velocities of P pairs."""
-    velocities = [(note.velocity, mine.velocity) for note, mine in pairs]
+    velocities = [(note.velocity, own.velocity) for note, own in pairs]
     return np.array(velocities, np.float64).reshape(-1, 2).T
 
 

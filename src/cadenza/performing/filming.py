@@ -144,7 +144,7 @@ def _drawn(page: str, browser: str, options: dict[str, Any], progress: Progress)
     )  # to send its film here
 
     class Handler(BaseHTTPRequestHandler):
-        """Answers the page, and takes what it sends."""
+        """The handler of requests of the page, which sends its film here."""
 
         def do_GET(self) -> None:
             _, sent_token, *words = self.path.split("/")

@@ -157,7 +157,7 @@ class Performance:
             arrangement=[plain(fate.as_json) for fate in self.fates or ()],
             goal_sound=encode_opus(synthesize(written, voice), mono=True, seconds=seconds),
             midi=content_of(folder / "played.mid"),
-            wanted_midi=content_of(folder / "wanted.mid"),
+            goal_midi=content_of(folder / "wanted.mid"),
             written=self.fingered_goal,
         )
 

@@ -50,7 +50,7 @@ SomeAgent = str | Path | Agent | LearntPolicy
 
 @dataclass(frozen=True)
 class Player:
-    """An agent, and what it knows: its song, and the task and scene that it plays in."""
+    """An agent with its song, and the task and scene in which it plays."""
 
     name: str
     agent: Agent

@@ -57,7 +57,7 @@ def practise(
     begin_episodes(setup.task, [setup.seed])
     view = setup.task.view()
     nominal = play_episode(setup.task, setup.agent, setup.seed)
-    setup.agent.close()  # it has played, and what it started has ended and counts
+    setup.agent.close()  # its processes end, and their time counts
     if nominal.plan is None:
         raise CadenzaError("a robot practises what the planner plays: choose no other agent")
     if robot.isdigit():
@@ -69,12 +69,12 @@ def practise(
     for number in range(1, PLAYS + 2):
         with by_others(f"robot {robot}: play {number} failed"):
             takes.append(next(plays))
-        heard = tuple((take.f1, take.note_onset_f1) for take in takes)
+        scores = tuple((take.f1, take.note_onset_f1) for take in takes)
         scored = device.scored if isinstance(device, SimulatedRobot) else {}
-        metrics = dict(scored) or dict(zip(("f1", "note_onset_f1"), heard[-1], strict=True))
+        metrics = dict(scored) or dict(zip(("f1", "note_onset_f1"), scores[-1], strict=True))
         song, seconds = str(setup.settings["song"]), cpu_seconds() - began
         actions = np.array([take.actions for take in takes])
-        yield RobotPlays(song, robot, profile, heard, metrics, seconds), actions
+        yield RobotPlays(song, robot, profile, scores, metrics, seconds), actions
 
 
 def save(folder: Path, plays: RobotPlays, actions: NDArray[np.float64]) -> None:

@@ -60,7 +60,7 @@ def performance_page(
     arrangement: Sequence[Mapping[str, Any]] = (),
     goal_sound: bytes = b"",
     midi: bytes = b"",
-    wanted_midi: bytes = b"",
+    goal_midi: bytes = b"",
     written: Score | None = None,
 ) -> Iterator[str]:
     """Yield the page of an episode piece by piece, see `html_pages.render`.
@@ -76,7 +76,7 @@ def performance_page(
         arrangement: the fates of notes of an arranged song, as in `arrangement.json`; likewise.
         goal_sound: the sound of the score, of the same length, if it is to be heard.
         midi: a MIDI file of the performance, to download.
-        wanted_midi: a MIDI file of the score.
+        goal_midi: a MIDI file of the score.
         written: the score on the clock of the episode; with it, the page shows how loudness and
             timing differ, and sheet music, see `engraving_of`, if it is made in 30 s.
     """
@@ -103,7 +103,7 @@ def performance_page(
         metrics=_other_metrics(metrics),
         settings=settings_table(settings),
         midi=midi,
-        wanted_midi=wanted_midi,
+        goal_midi=goal_midi,
         roll_description=_roll_description(episode),
         recording=recording_of(episode, written, misses, arrangement),
         engraving=engraving,

@@ -236,7 +236,7 @@ def _padded(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
 def _tone_of(
     note: Note, release: float, tones: dict[tuple[int, int, int], NDArray[np.float32]], voice: Tone
 ) -> NDArray[np.float32]:
-    """The undamped tone of a note, at least as long as it is heard; `tones` caches it."""
+    """The undamped tone of a note, at least as long as the note sounds; `tones` caches it."""
     band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2
     # Lengths are powers of two, so that notes of different lengths share a tone.
     doublings = max(0, int(np.ceil(np.log2(release - note.start + _damping(note.pitch)))))

@@ -1,4 +1,4 @@
-"""The case of a piano, as it is drawn around the keys: shapes of our own, without mass or contacts.
+"""The case of a piano around the keys: drawn shapes, without mass or contacts.
 
 World frame: x towards the player, y to the player's right, z up.
 """

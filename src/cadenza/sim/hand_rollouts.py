@@ -138,8 +138,8 @@ class _HandOnKeys:
         model: see `reduced_model`.
         start: the state in which rollouts start.
         data: the state of the rollout.
-        posed: a state of which only the posture is used.
-        keys: where the keys are in qpos.
+        posed: a state for kinematics; only its posture is used.
+        keys: the places of the keys in qpos.
         fingertips: the sites of the fingertips.
     """
 

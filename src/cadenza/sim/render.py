@@ -20,7 +20,7 @@ from cadenza.scene.furniture import case_bounds
 from cadenza.scene.scene import Scene
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
-_RENDERED_IN: set[int] = set()  # this process, or the one that it was forked from
+_RENDERED_IN: set[int] = set()  # ids of this process, or of the one from which it was forked
 _MAX_GEOMS = 2000
 
 

@@ -79,7 +79,7 @@ class Physics(NamedTuple):
 class WarpPhysics:
     """The physics of N worlds of a scene, as pure functions that `jax.jit` compiles.
 
-    Keys never sleep here, as on a GPU each world costs the same whatever is at rest in it. They
+    Keys never sleep here, as on a GPU a world at rest costs the same as any other. They
     differ from keys of `MujocoSimulation`, which sleep, by up to 1e-4 rad.
 
     A world that has diverged, or for whose contacts there was no room, is unstable, and rests in

@@ -252,7 +252,7 @@ class BackgroundPractice:
         return self.status["state"] in ("preparing", "practising")
 
     def _practises(self, order: Order) -> bool:
-        """Whether this order is the one that is practised."""
+        """Whether this order is being practised."""
         return self.order is order and self._is_active
 
     def pause(self, paused: bool) -> None:

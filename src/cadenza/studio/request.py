@@ -32,11 +32,11 @@ _RANGES: dict[str, tuple[float, float]] = {
 _ID_DIGITS = 16  # of the name of a practice folder
 # Files of a performance; earlier ones, live.json and live.rows, had other rows
 HEADER_FILE, ROWS_FILE = "states.json", "states.rows"
-"""Files of a performance, with the messages that were sent while it was played."""
+"""Files of a performance, with the messages sent while it was played."""
 PRACTISED, UNREFINED = "practised", "sight"
 PLANNER_VARIANTS = PRACTISED, UNREFINED
-"""Agents of `AGENTS` that are the planner under another name: the first plays practised plans and
-goes on practising, the second follows the plan as it is."""
+"""Variants of the planner in `AGENTS`: the first plays practised plans and goes on practising, the
+second follows the plan without refining it."""
 AGENTS = {
     "planner": ("Planner", "Plans fingers and motions, and refines them while it plays."),
     "generalist": ("Generalist", "The plan, corrected by networks, without a search; quick."),

@@ -1,6 +1,6 @@
 """Reader of an upload, as a process of its own: `python -m cadenza.studio.upload_reader FILE`.
 
-It prints facts about the file as JSON, or `{"error": ...}` in one line, whatever the file is.
+It prints facts about any file as JSON, or `{"error": ...}` in one line.
 """
 
 import json
@@ -42,10 +42,7 @@ def _title(score: Score, path: Path) -> str:
 
 
 def check_size(score: Score) -> None:
-    """Check that there is something to play, and no more than the studio takes.
-
-    Raises CadenzaError if there is nothing to play, or too much.
-    """
+    """Raise a CadenzaError if there is nothing to play, or more than the studio takes."""
     if not score.notes:
         raise CadenzaError("there is nothing to play: the file has no notes")
     if score.total_time > MAX_SECONDS:

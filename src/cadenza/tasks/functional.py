@@ -48,7 +48,7 @@ class SongGoals(NamedTuple):
 
     goal: Array  # (S, T + L, K + 1) bool, keys and pedal; nothing past the end of a song
     fingers: Array  # (S, T, K) int8, fingers for the keys, -1 for none
-    fingers_wanted: Array  # (S, T, F) bool, which fingers have a key to press
+    active_fingers: Array  # (S, T, F) bool, which fingers have a key to press
     num_steps: Array  # (S,) int32, control steps of each song
     # (S, T + W, K) when notes begin, from the beginnings of their steps on [s]; row 1 is the first
     # step, and W those of `UpcomingOnsets` around a step. No rows without onset goals.
@@ -226,7 +226,7 @@ class FunctionalPianoTask:
         return Episodes(song, zeros, pedal, lost, notes, nothing, sums, draws), start
 
     def _resting(self, start: Array) -> State:
-        """The state of worlds after a reset, as far as it is observed."""
+        """The observed parts of the state of worlds after a reset."""
         zeros = State.at_rest(self.scene, self.num_envs)
         return jax.tree.map(jnp.asarray, zeros)._replace(hand_qpos=start)
 
@@ -285,7 +285,7 @@ class FunctionalPianoTask:
         keys = key_state(state.key_qpos, self.scene.keyboard.travel)
         goal, fingering = (
             self.songs.goal[song[:, None], ahead],
-            self.songs.fingers_wanted[song, row],
+            self.songs.active_fingers[song, row],
         )
         due = self._onsets(song, row) if self.config.onset_goals else None
         return self.spec.observation(goal, fingering, keys, episodes.pedal, state, due)
@@ -337,7 +337,7 @@ def _padded(goals: Sequence[Goals], config: TaskConfig) -> SongGoals:
     return SongGoals(
         stacked(tracks, lookahead, 0),
         stacked([each.fingers for each in goals], 0, -1),
-        stacked([each.fingers_wanted for each in goals], 0, 0),
+        stacked([each.active_fingers for each in goals], 0, 0),
         jnp.asarray([each.num_steps for each in goals], jnp.int32),
         jnp.asarray(time),
         jnp.asarray(velocity),

@@ -155,7 +155,7 @@ class UpcomingGoals(NamedTuple):
     # (N, L + 1, K + 1) keys and pedal; past the end of an episode nothing is to be played
     goal: NDArray[np.bool_]
     fingers: NDArray[np.int8]  # (N, K) fingers for the keys of the next step, -1 for none
-    fingers_wanted: NDArray[np.bool_]  # (N, F) which fingers have a key to press in the next step
+    active_fingers: NDArray[np.bool_]  # (N, F) which fingers have a key to press in the next step
 
 
 class UpcomingOnsets(NamedTuple):
@@ -234,14 +234,14 @@ class EpisodeGoals:
             num_envs = len(self.row)
             goal = np.zeros((num_envs, self._steps_seen, self._num_keys + 1), bool)
             fingers = np.empty((num_envs, self._num_keys), np.int8)
-            fingers_wanted = np.empty((num_envs, self._num_fingers), bool)
+            active_fingers = np.empty((num_envs, self._num_fingers), bool)
             for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
                 keys = goals.keys[row : row + self._steps_seen]
                 goal[env, : len(keys), :-1] = keys
                 goal[env, : len(keys), -1] = goals.sustain[row : row + self._steps_seen]
                 fingers[env] = goals.fingers[row]
-                fingers_wanted[env] = goals.fingers_wanted[row]
-            self._cached = UpcomingGoals(goal, fingers, fingers_wanted)
+                active_fingers[env] = goals.active_fingers[row]
+            self._cached = UpcomingGoals(goal, fingers, active_fingers)
         return self._cached
 
     @property

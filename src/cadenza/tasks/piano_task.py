@@ -311,7 +311,7 @@ class PianoTask:
         goals, state = self.goals.upcoming, self.sensed
         due = self.goals.upcoming_onsets if self.config.onset_goals else None
         keys = key_state(state.key_qpos, self.scene.keyboard.travel)
-        seen = goals.goal, goals.fingers_wanted, keys, self._pedal
+        seen = goals.goal, goals.active_fingers, keys, self._pedal
         return self.spec.observation(*seen, state, due)
 
     def privileged(self) -> dict[str, Array]:

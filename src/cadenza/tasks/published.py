@@ -70,7 +70,7 @@ def hint(name: str, value: Any) -> str | None:
 def translated(options: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of `TaskConfig` and `SceneConfig` for published options; other options stay.
 
-    Raises CadenzaError if the equivalent of an option is none of these fields.
+    Raises CadenzaError if an option is not equivalent to one of these fields.
     """
     here: dict[str, Any] = {}
     for name, value in options.items():

@@ -105,8 +105,8 @@ def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
 def _alike(constant: Array, values: Array) -> Array:
     """The constant as an array of the library of the values.
 
-    Without a type, JAX would take the one it gave to this array of NumPy when it first met it,
-    whatever `jax_enable_x64` says now, and a keyboard's arrays outlive that.
+    Without a type, JAX would reuse the type that it gave to this array of NumPy at first, even if
+    `jax_enable_x64` has changed since, and a keyboard's arrays outlive that.
     """
     xp = values.__array_namespace__()
     return xp.asarray(constant, dtype=xp.result_type(constant, values))

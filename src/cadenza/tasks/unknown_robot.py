@@ -73,12 +73,12 @@ class UnknownRobotEnv(PianoEnv):
 
     def _shown(self, observation: Observation) -> NDArray[np.float32]:
         """The observation with keys that sound or do not, instead of how far they are down."""
-        shown, task = np.array(observation), self.task
+        observation, task = np.array(observation), self.task
         depth = task.scene.keyboard.sounds_from * task.drawn["key_sounding"][0]
-        shown[task.spec.observation_layout["key_state"]] = task.sensed.key_qpos[0] >= depth
-        return shown
+        observation[task.spec.observation_layout["key_state"]] = task.sensed.key_qpos[0] >= depth
+        return observation
 
     def _shown_info(self, info: dict[str, Any]) -> dict[str, Any]:
         scored = self._play > PLAYS
-        shown = {n: v for n, v in info.items() if not n.startswith("randomization/")}
-        return {**(shown if scored else {"song": info["song"]}), "play": self._play}
+        public = {n: v for n, v in info.items() if not n.startswith("randomization/")}
+        return {**(public if scored else {"song": info["song"]}), "play": self._play}

@@ -86,7 +86,7 @@ class TaskSpec:
 
     config: TaskConfig
     scene: Scene
-    """The hands and the keys of the nominal model, whatever `TaskConfig.randomization` draws."""
+    """The nominal hands and keys, without the draws of `TaskConfig.randomization`."""
     action_low: Array
     """(A,) the least action in actuator units [m, rad], the pedal last."""
     action_high: Array

@@ -56,8 +56,8 @@ class ClosedLoop:
     def acting(self, response: Response) -> Act:
         """A policy for a play on a robot with this response.
 
-        It acts early by the usual delay, whatever that of the robot. Strikes then begin in the
-        middle of a control step, from which they may be off to either side.
+        It acts early by the usual delay, also for robots with another one. Strikes then begin in
+        the middle of a control step, with room for errors to either side.
         """
         late = Lateness.expected(self._ranges) or Lateness(0.0, 0.0, (0.0, 0.0, 0.0))
         scene = with_servo_damping(self._scene, response.damping)

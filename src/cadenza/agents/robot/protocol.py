@@ -27,7 +27,7 @@ class Heard(NamedTuple):
 
 
 class Robot(Protocol):
-    """Hands at an instrument. Drivers have these five methods, whatever they drive.
+    """Hands at an instrument. Every driver has these five methods.
 
     A play is `start`, `read`, then for each control step `send`, `read` and `heard`, then `stop`.
     """

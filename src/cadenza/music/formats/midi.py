@@ -297,8 +297,8 @@ def _bars(
             known = bisect_right(keys, ticks[0], key=itemgetter(0))
             key = keys[known - 1][1] if known else None
             bar_end = min(end, first + (n + numerator) * four // 4)
-            said = words[bisect_left(words, (ticks[0], "")) : bisect_left(words, (bar_end, ""))]
-            timed = tuple((clock.seconds(clock.at(tick)), text) for tick, text in said)
+            texts = words[bisect_left(words, (ticks[0], "")) : bisect_left(words, (bar_end, ""))]
+            timed = tuple((clock.seconds(clock.at(tick)), text) for tick, text in texts)
             bars.append(Bar(times[0], len(bars) + 1, tuple(times), denominator, key, timed))
     return tuple(bars)
 
@@ -312,10 +312,10 @@ def _keys(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, int]]:
 
 
 def _words(tracks: Iterable[Iterable[Message]]) -> list[tuple[int, str]]:
-    """The words of tempo among markers, and among texts but those that are sung, by ticks."""
-    said = [each for track in tracks for each in track if each.kind in (TEXT, MARKER)]
-    is_sung = any(each.kind == TEXT and each.data.startswith(_SUNG) for each in said)
-    texts = {(each.tick, _text(each.data)) for each in said if not is_sung or each.kind == MARKER}
+    """The words of tempo among markers and texts, but not lyrics, by ticks."""
+    events = [each for track in tracks for each in track if each.kind in (TEXT, MARKER)]
+    is_sung = any(each.kind == TEXT and each.data.startswith(_SUNG) for each in events)
+    texts = {(each.tick, _text(each.data)) for each in events if not is_sung or each.kind == MARKER}
     return sorted(each for each in texts if is_of_tempo(each[1]))
 
 

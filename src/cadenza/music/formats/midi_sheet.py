@@ -53,8 +53,8 @@ def write_midi_sheet(score: Score, path: Path) -> None:
         return
     signs = [(tick, mido.MetaMessage("set_tempo", tempo=us)) for tick, us in tempos]
     signs += _signs(measure for measure in metre.measures if _FINER * measure.start >= origin)
-    said = ((ticks(time), text) for bar in score.bars for time, text in bar.words)
-    signs += [(origin + at, mido.MetaMessage("text", text=text)) for at, text in said if at >= 0]
+    texts = ((ticks(time), text) for bar in score.bars for time, text in bar.words)
+    signs += [(origin + at, mido.MetaMessage("text", text=text)) for at, text in texts if at >= 0]
     file = mido.MidiFile(type=1, ticks_per_beat=_TICKS, charset="utf-8")
     file.tracks.append(mido.MidiTrack(title_messages(score)))
     now = 0

@@ -7,8 +7,8 @@ CleanRL: High-quality Single-file Implementations of Deep Reinforcement Learning
 - An action is the hyperbolic tangent of a normal sample, so that a `Perceptron` can play it. The
   ratio of probabilities is that of the sample.
 - The end of a song truncates an episode, and the value of its last observation is counted.
-- Observations are normalised by the statistics up to the previous rollout, so that the policy that
-  draws a rollout is the one that its updates are compared with.
+- Observations are normalised by the statistics up to the previous rollout, so that updates are
+  compared with the very policy that drew the rollout.
 - The learning rate follows the divergence of the new policy from the old one, as in RSL-RL (Rudin
   et al., Learning to Walk in Minutes Using Massively Parallel Deep Reinforcement Learning, 2021).
 """

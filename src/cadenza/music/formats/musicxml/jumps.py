@@ -68,7 +68,7 @@ class JumpReader:
 
     def __init__(self, bars: Sequence[WrittenBar]) -> None:
         self._bars = bars
-        self._codas: list[tuple[int, int]] = []  # of signs: their bars, and those that begin there
+        self._codas: list[tuple[int, int]] = []  # each sign's bar, and the bar that begins there
         self._segnos: set[int] = set()
         self._trios: set[int] = set()  # bars before trios
         self._headings: dict[str, int] = {}  # bars by the words that stand over them
@@ -103,7 +103,7 @@ class JumpReader:
         if self._bars[at].signs.fine:
             self._fines.setdefault(at, placed.quarter)
 
-    def read_text(self, text: str, at: int, begun: int) -> None:
+    def read_text(self, text: str, at: int, next_bar: int) -> None:
         signs = self._bars[at].signs
         next_signs = self._bars[min(at + 1, len(self._bars) - 1)].signs
         # Long words begin before the bar that they are for.
@@ -126,11 +126,11 @@ class JumpReader:
         elif _is_alone(_FINE.search(text)):
             signs.fine = True
         elif _GOALS["segno"].search(text):
-            self._segnos.add(begun)
+            self._segnos.add(next_bar)
         elif _GOALS["coda"].search(text):
-            self._codas.append((at, begun))
+            self._codas.append((at, next_bar))
         elif (word := _WORD.match(text)) and at:
-            self._headings[word[0]] = begun
+            self._headings[word[0]] = next_bar
 
     def _is_jump(self, match: re.Match[str] | None) -> bool:
         """Whether words in a text are a jump themselves, and not only mention one."""
@@ -159,11 +159,11 @@ class JumpReader:
             has_segno |= each.segno is not None
             ends = not each.returns and (ends or each.fine or each.to_coda is not None)
             last_jump = at if each.returns else last_jump
-        for at, begun in self._codas:
-            if signs[begun].coda is not None or signs[at].to_coda is not None:
+        for at, next_bar in self._codas:
+            if signs[next_bar].coda is not None or signs[at].to_coda is not None:
                 continue
-            if begun > last_jump:
-                signs[begun].coda = _UNNAMED
+            if next_bar > last_jump:
+                signs[next_bar].coda = _UNNAMED
             else:
                 signs[at].to_coda = _UNNAMED
 
