@@ -1,6 +1,5 @@
 """One update after the other against a plain reference, and what learning must come to."""
 
-import io
 import os
 import subprocess
 import sys
@@ -200,7 +199,7 @@ def test_updates_are_those_of_soft_actor_critic(noise):
         assert_allclose(flat(state.target_critics[i]), reference.targets[i], **tolerance)
 
 
-# What holds for every learner
+# What holds for this learner
 
 
 def test_targets_begin_as_the_critics_and_follow_them(learner):
@@ -263,19 +262,6 @@ def test_many_updates_at_once_are_those_one_by_one(learner):
         assert_allclose(values, expected, rtol=1e-4, atol=1e-5, err_msg=name)
 
 
-def test_the_same_seed_gives_the_same_bits(learner):
-    ends = []
-    for seed in (3, 3, 4):
-        state = learner.init(seed)
-        for i in range(2):
-            state, _ = learner.update(state, batches(6, seed=i))
-        ends.append(numbers(state))
-    for name, array in ends[0].items():
-        assert_array_equal(array, ends[1][name])
-    weights = [name for name in ends[0] if name.startswith(".actor[")]
-    assert all((ends[0][name] != ends[2][name]).any() for name in weights)
-
-
 PROGRAM = """
 import os, sys
 os.sched_setaffinity(0, set(map(int, sys.argv[1:])))
@@ -317,31 +303,6 @@ def test_any_number_of_cores_gives_the_same_bits():
     ]
     assert printed[0].splitlines() == printed[1].splitlines()
     assert len(printed[0].splitlines()) > 50
-
-
-def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner):
-    state, _ = learner.update(learner.init(0), batches(6))
-    file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **learner.to_arrays(state))
-    state, _ = learner.update(state, batches(6, seed=1))
-    file.seek(0)
-    with np.load(file) as kept:
-        again = learner.from_arrays(dict(kept))
-    again, _ = learner.update(again, batches(6, seed=1))
-    for name, array in numbers(state).items():
-        assert_array_equal(array, numbers(again)[name])
-
-
-def test_a_policy_is_not_changed_by_the_updates_after_it(learner):
-    """An update uses up the memory of the state before it, which a policy may still look at."""
-    state = learner.init(0)
-    weights = actor_weights(state.actor)
-    before = {name: array.copy() for name, array in weights.items()}
-    for seed in range(3):
-        state, _ = learner.update(state, batches(6, seed))
-    for name, array in weights.items():
-        assert_array_equal(array, before[name])
-        assert (actor_weights(state.actor)[name] != before[name]).any()
 
 
 def test_target_entropy_is_minus_half_the_number_of_actions_by_default():

@@ -1,8 +1,5 @@
 """States of environments that are got and set, starts within a song, and what critics see."""
 
-import pickle
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -18,53 +15,6 @@ UP = Score(tuple(Note(i / 5, (i + 1) / 5, 60 + i, finger=finger(i)) for i in ran
 DOWN = Score(
     tuple(Note(i / 5, (i + 1) / 5, 64 - i, finger=finger(4 - i)) for i in range(5)), title="Down"
 )
-CASES: dict[str, dict[str, Any]] = {
-    "default": {},
-    "fast, with onsets": {"physics": "fast", "onset_goals": True, "onset_timing_coefficient": 1.0},
-    "random": {
-        "randomization": {
-            "mass": (0.8, 1.2),
-            "latency": (0.0, 0.03),
-            "joint_noise": 0.01,
-            "control_noise": 0.1,
-        },
-        "random_pitch_shift": 3,
-    },
-    "hands apart": {"hand": "arm-allegro", "hands": "apart"},
-}
-
-
-def steps(envs: PianoVectorEnv, actions: np.ndarray) -> list[list[Any]]:
-    """What each step returns, with all infos but the masks, and at last what has been played."""
-    rows = []
-    for each in actions:
-        *values, infos = envs.step(each)
-        infos = {name: np.asarray(v) for name, v in infos.items() if name[0] != "_"}
-        rows.append([*values, *(infos[name] for name in sorted(infos))])
-    return rows
-
-
-@pytest.mark.parametrize("options", CASES.values(), ids=CASES)
-def test_an_environment_goes_on_to_the_bit(options):
-    """Also another one, after a pickle, through the end of the episode and into the next."""
-    envs = PianoVectorEnv([UP, DOWN], num_envs=2, privileged=True, **options)
-    size = envs.single_action_space.shape[0]
-    actions = np.random.default_rng(0).uniform(-1, 1, (30, 2, size)).astype(np.float32)
-    envs.reset(seed=0, options={"song": [0, 1]})
-    for each in actions[:8]:
-        before = envs.step(each)[0]
-    states = pickle.loads(pickle.dumps(envs.get_state()))
-    first = steps(envs, actions[8:])
-    assert_array_equal(envs.set_state(states), before)
-    for one, other in zip(first, steps(envs, actions[8:]), strict=True):
-        for ours, theirs in zip(one, other, strict=True):
-            assert_array_equal(ours, theirs)
-
-    fresh = PianoVectorEnv([UP, DOWN], num_envs=2, privileged=True, **options)
-    assert_array_equal(fresh.set_state(states[::-1]), before[::-1])
-    for one, other in zip(first, steps(fresh, actions[8:, ::-1]), strict=True):
-        for ours, theirs in zip(one, other, strict=True):
-            assert_array_equal(ours, theirs[::-1])
 
 
 def test_a_state_is_not_changed_by_going_on_from_it():

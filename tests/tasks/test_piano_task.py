@@ -88,7 +88,7 @@ class Player:
         return result
 
 
-def wanted_keys(row: np.ndarray) -> list[int]:
+def goal_keys(row: np.ndarray) -> list[int]:
     return np.flatnonzero(row[:NUM_KEYS]).tolist()
 
 
@@ -100,14 +100,14 @@ def test_trimmed_song_begins_with_its_first_note(scenes):
     rows = player.goal()[0]
     c, e, g = (pitch - 21 for pitch in (60, 64, 43))
     expected = [[c], [c], [e], [e], [g, e], [g, e], [g], [g], [g], []]
-    assert [wanted_keys(row) for row in rows] == [*expected, []]
+    assert [goal_keys(row) for row in rows] == [*expected, []]
     assert rows[:, NUM_KEYS].tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 0]
     assert len(player.play_on()) == 10
 
 
 def test_untrimmed_song_keeps_its_silence(scenes):
     player = Player(scenes["both"], trim_silence=False)
-    assert [wanted_keys(row) for row in player.goal()[0]] == [[]] * 10 + [[39]]
+    assert [goal_keys(row) for row in player.goal()[0]] == [[]] * 10 + [[39]]
     assert player.task.goals.num_steps.tolist() == [20]
 
 
@@ -118,7 +118,7 @@ def test_untrimmed_song_keeps_its_silence(scenes):
 def test_initial_buffer(scenes, seconds, silent_steps):
     player = Player(scenes["both"], initial_buffer_time=seconds)
     rows = player.goal()[0]
-    assert [wanted_keys(row) for row in rows[: silent_steps + 1]] == [[]] * silent_steps + [[39]]
+    assert [goal_keys(row) for row in rows[: silent_steps + 1]] == [[]] * silent_steps + [[39]]
     assert not rows[:silent_steps, NUM_KEYS].any()
     assert player.task.goals.num_steps.tolist() == [10 + silent_steps]
 
@@ -153,7 +153,7 @@ def test_the_goal_moves_on_by_a_row_a_step_and_is_seen_once_more_at_the_end(scen
 
 def test_control_timestep(scenes):
     player = Player(scenes["both"], control_timestep=0.1)
-    assert [wanted_keys(row) for row in player.goal()[0][:5]] == [[39], [43], [22, 43], [22], [22]]
+    assert [goal_keys(row) for row in player.goal()[0][:5]] == [[39], [43], [22, 43], [22], [22]]
     assert len(player.play_on()) == player.task.goals.num_steps[0] == 5
     assert player.task.simulation.num_substeps == 20
 
@@ -340,7 +340,7 @@ def test_plays_a_song_without_hands(scenes):
     player = Player(scenes["none"], onset_goals=False)
     transitions = []
     for _ in range(10):
-        transitions.append(press(player, *wanted_keys(player.goal()[0, 0])))
+        transitions.append(press(player, *goal_keys(player.goal()[0, 0])))
     assert_allclose([t.reward[0] for t in transitions], [1.0] * 9 + [0.5], atol=2e-3)
     assert [bool(t.truncated[0]) for t in transitions] == [False] * 9 + [True]
     metrics = player.task.episode_metrics(0)
