@@ -3,12 +3,15 @@
 A residual policy corrects a reference: what the planner plays, tracked with feedback.
 """
 
+from contextlib import closing
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
+from cadenza.agents.lateness import Lateness, earlier
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
@@ -18,7 +21,7 @@ from cadenza.learning.ranges import Ranges
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 from cadenza.sim.threads import available_cores
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import TaskSpec
 
@@ -49,9 +52,10 @@ class Reference(NamedTuple):
 def reference_of(
     task: PianoTask, seed: int = 0, effort: float = 0.0, progress: Progress = silent
 ) -> Reference:
-    """Have the planner play the only score of a task, which has one environment.
+    """Have the planner play the only score of a task, where nothing is random.
 
-    It practises with an `effort`, see `PlannerConfig`.
+    It practises with an `effort`, see `PlannerConfig`. Where the task's robots are late, it plays
+    as much earlier, and expects what late sensors measure.
 
     Raises CadenzaError if the task has several scores, changes one or the start at random, or has
     no hands.
@@ -62,21 +66,42 @@ def reference_of(
             "a residual policy corrects the plan of one song: give one, or learn several from "
             "nothing (--no-residual)"
         )
+    (track,), config = task.tracks, replace(task.config, randomization=DomainRandomization())
+    if late := Lateness.expected(task.config.randomization):
+        track = earlier(track, late.actions)
+        config = replace(config, initial_buffer_time=track.config.initial_buffer_time)
     planner = Planner(PlannerConfig(effort=effort))
     planner.num_threads, planner.progress = available_cores(), progress
-    played = play_episode(task, planner, seed)
+    with closing(PianoTask([track], config, replace(task.scene.config, engine="c"))) as undisturbed:
+        played = play_episode(undisturbed, planner, seed)
     servos = servos_of(task.scene)
     arrays, plan = played.episode.arrays, played.plan
     assert plan is not None
     qpos = np.concatenate([arrays["hand_qpos0"][None], arrays["hand_qpos"]])
     qvel = np.concatenate([np.zeros_like(arrays["hand_qvel"][:1]), arrays["hand_qvel"]])
-    return Reference(
+    reference = Reference(
         ctrl=arrays["action"][:, :-1],
         gain=plan.nominal.tracking.gain,
         expected=servos.state(qpos, qvel),
         pedal=arrays["action"][:, -1],
         reach=_REACH * servos.correction,
     )
+    return reference if late is None else _measured_late(reference, late, task)
+
+
+def _measured_late(reference: Reference, late: Lateness, task: PianoTask) -> Reference:
+    """A reference over all steps of a task, whose expected states are as late as those measured."""
+    steps, num_steps = task.tracks[0].goals.num_steps, len(reference.ctrl)
+    ctrl, gain, pedal = (
+        values[np.minimum(np.arange(steps), num_steps - 1)]
+        for values in (reference.ctrl, reference.gain, reference.pedal)
+    )
+    delay = (late.actions + late.observations) / task.config.control_timestep
+    measured = np.clip(np.arange(steps + 1) - delay, 0, num_steps)
+    before = np.minimum(measured.astype(np.intp), num_steps - 1)
+    share = (measured - before)[:, None, None]
+    expected = (1 - share) * reference.expected[before] + share * reference.expected[before + 1]
+    return reference._replace(ctrl=ctrl, gain=gain, expected=expected, pedal=pedal)
 
 
 def check_one_score(config: TaskConfig) -> None:

@@ -1,7 +1,6 @@
 """The problem of a training run: songs as a task, observations of a policy, and its actions."""
 
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 
 from cadenza.agents.agent import Progress, silent
@@ -13,7 +12,6 @@ from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import available_cores
 from cadenza.tasks.augmentation import draws_pitch
-from cadenza.tasks.config import DomainRandomization
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -72,7 +70,7 @@ def problem_of(
     task = PianoTask(scores, config.task, scene, num_envs, threads)
     goals = GoalTable(task.spec, task.tracks)
     if config.residual and reference is None:
-        reference = _reference(config, scores, scene, progress)
+        reference = reference_of(task, config.seed, config.plan_effort, progress)
     observation = ObservationSpec.of(task.spec, config.residual)
     prune = config.prune_inputs and not draws_pitch(config.task)  # keys are the same each time
     inputs = pruned(observation, *goals.goals_used()) if prune else observation.inputs
@@ -90,12 +88,3 @@ def problem_of(
         reference=reference,
         ranges=ranges_of(task) if config.song_range and task.scene.sides else None,
     )
-
-
-def _reference(
-    config: TrainingConfig, scores: Sequence[Score], scene: SceneConfig, progress: Progress
-) -> Reference:
-    """The planner's performance where nothing is random, for a residual policy to correct."""
-    undisturbed = replace(config.task, randomization=DomainRandomization())
-    with closing(PianoTask(scores, undisturbed, scene)) as task:
-        return reference_of(task, config.seed, config.plan_effort, progress)
