@@ -33,7 +33,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         main([str(argument) for argument in arguments])
     assert stop.value.code == 1
     *before, line = capsys.readouterr().err.splitlines()
-    assert all("cores are claimed" in other for other in before), before
+    assert all("cores are in use" in other for other in before), before
     return line
 
 

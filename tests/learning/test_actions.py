@@ -18,7 +18,7 @@ from cadenza.learning.actions import ActionMapping, Reference, reference_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 
@@ -73,6 +73,15 @@ def test_with_an_effort_it_plays_what_was_practised():
     ]
     assert_allclose(actions[0], actions[1], atol=1e-9)
     assert np.abs(actions[0] - actions[2]).max() > 1e-3
+
+
+def test_where_robots_are_late_it_plays_as_much_earlier():
+    """Feedback expects the states that late sensors measure."""
+    late = DomainRandomization(latency=(0.03, 0.03), observation_latency=(0.01, 0.01))
+    played = performance(Following(), randomization=late)
+    assert played.metrics["note_onset_f1"] == 1
+    assert abs(played.metrics["onset_delay"]) < 0.01
+    assert len(played.episode.arrays["action"]) == len(reference(randomization=late).ctrl)
 
 
 def test_it_begins_where_the_hands_do():

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.lateness import Lateness, earlier
@@ -72,7 +73,7 @@ def reference_of(
         config = replace(config, initial_buffer_time=track.config.initial_buffer_time)
     planner = Planner(PlannerConfig(effort=effort))
     planner.num_threads, planner.progress = available_cores(), progress
-    with closing(PianoTask([track], config, replace(task.scene.config, engine="c"))) as undisturbed:
+    with closing(PianoTask([track], config, task.scene.config)) as undisturbed:
         played = play_episode(undisturbed, planner, seed)
     servos = servos_of(task.scene)
     arrays, plan = played.episode.arrays, played.plan
@@ -91,17 +92,16 @@ def reference_of(
 
 def _measured_late(reference: Reference, late: Lateness, task: PianoTask) -> Reference:
     """A reference over all steps of a task, whose expected states are as late as those measured."""
-    steps, num_steps = task.tracks[0].goals.num_steps, len(reference.ctrl)
-    ctrl, gain, pedal = (
-        values[np.minimum(np.arange(steps), num_steps - 1)]
-        for values in (reference.ctrl, reference.gain, reference.pedal)
-    )
+    steps, last = task.tracks[0].goals.num_steps, len(reference.ctrl) - 1
+    row = np.minimum(np.arange(steps), last)  # the hands stay where the earlier song ends
     delay = (late.actions + late.observations) / task.config.control_timestep
-    measured = np.clip(np.arange(steps + 1) - delay, 0, num_steps)
-    before = np.minimum(measured.astype(np.intp), num_steps - 1)
-    share = (measured - before)[:, None, None]
-    expected = (1 - share) * reference.expected[before] + share * reference.expected[before + 1]
-    return reference._replace(ctrl=ctrl, gain=gain, expected=expected, pedal=pedal)
+    measured = np.clip(np.arange(steps + 1) - delay, 0, last + 1)
+    return reference._replace(
+        ctrl=reference.ctrl[row],
+        gain=reference.gain[row],
+        expected=make_interp_spline(np.arange(last + 2), reference.expected, k=1)(measured),
+        pedal=reference.pedal[row],
+    )
 
 
 def check_one_score(config: TaskConfig) -> None:
