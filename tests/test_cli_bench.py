@@ -295,7 +295,7 @@ def test_a_page_and_tables_are_left_and_agents_told(bench, capsys):
     (bench / "runs" / "begun").mkdir()
     main(["results", str(bench)])
     left = {path.name for path in (bench / "results").iterdir()}
-    assert left == {"index.html", "agents.csv", "pieces.csv", "runs.csv"}
+    assert left == {"index.html", "agents.csv", "pieces.csv", "runs.csv", "differences.csv"}
     told = capsys.readouterr().out
     assert "planner" in told
     assert "1 run is not finished." in told

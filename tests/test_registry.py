@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.registry import AGENTS, agent_options
+from cadenza.agents.registry import AGENTS, PRACTISED, agent_options
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import write_midi
@@ -258,6 +258,14 @@ def test_two_agents_with_options_of_one_name(capsys):
     with pytest.raises(SystemExit):
         main(["bench", "--agents", "slow-beat,beating:SlowBeat", "-o", "out"])
     assert "its options cannot be called --slow-beat" in capsys.readouterr().err
+
+
+def test_the_planner_and_what_was_practised_share_options(tmp_path, capsys):
+    (tmp_path / PRACTISED).touch()
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", "--agents", f"{tmp_path},planner", "--help-all"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out.count("--planner.effort") == 1
 
 
 def test_our_agents_get_their_options_as_those_of_others(monkeypatch):

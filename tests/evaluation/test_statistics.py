@@ -30,36 +30,42 @@ def test_every_piece_counts_the_same_in_the_mean():
 
 
 def test_the_bootstrap_interval_is_that_of_a_plain_loop():
-    scores, draw, resamples = random_scores(3), random.Random(0), 4000
-    drawn = sorted(
-        np.mean([np.mean(draw.choices(piece, k=len(piece))) for piece in of_each_piece(scores)])
-        for _ in range(resamples)
-    )
+    scores, others, draw, resamples = random_scores(3), random_scores(4), random.Random(0), 4000
+    runs, other_runs = of_each_piece(scores), of_each_piece(others)
+
+    def drawn(piece: list[float]) -> float:
+        return float(np.mean(draw.choices(piece, k=len(piece))))
+
+    means, differences = [], []
+    for _ in range(resamples):
+        pieces = draw.choices(range(len(runs)), k=len(runs))
+        ours = [drawn(runs[i]) for i in pieces]
+        means.append(np.mean(ours))
+        differences.append(np.mean([a - drawn(other_runs[i]) for a, i in zip(ours, pieces)]))  # noqa: B905
+    for values, interval in (
+        (means, bootstrap_interval(scores)),
+        (differences, bootstrap_interval(scores, others)),
+    ):
+        ends = (np.quantile(values, 0.025), np.quantile(values, 0.975))
+        assert interval == pytest.approx(ends, abs=0.015)
+
+
+def test_differences_are_those_on_the_same_pieces():
+    """Pieces differ much more here than the agents do."""
+    scores = np.tile([0.1, 0.5, 0.9], (2, 1))
+    low, high = bootstrap_interval(scores, scores - 0.05)
+    assert low == pytest.approx(high) == pytest.approx(0.05)
     low, high = bootstrap_interval(scores)
-    assert low == pytest.approx(drawn[round(0.025 * resamples)], abs=0.01)
-    assert high == pytest.approx(drawn[round(0.975 * resamples)], abs=0.01)
+    assert high - low > 0.5
 
 
-def test_runs_are_drawn_within_their_piece():
-    """Pieces differ here and their runs hardly do: drawing other pieces would change a figure."""
-    scores = np.tile([0.1, 0.5, 0.9], (3, 1)) + np.array([[-1e-9], [0], [1e-9]])
-    low, high = bootstrap_interval(scores)
-    assert low == pytest.approx(high) == pytest.approx(0.5)
-
-
-def test_single_runs_have_no_interval():
-    scores = np.array([[0.2, 0.8]])
-    assert np.isnan(bootstrap_interval(scores)).all()
-    assert np.isnan(mean_interval(scores)[1:]).all()
-    assert mean_interval(scores)[0].tolist() == [0.2, 0.8]
-
-
-def test_runs_that_are_all_the_same_have_no_interval():
-    scores = np.array([[0.2, 0.8], [0.2, 0.8], [math.nan, 0.8]])
-    assert np.isnan(bootstrap_interval(scores)).all()
-    scores[0, 0] = 0.3
-    assert not np.isnan(bootstrap_interval(scores)).any()
-    _, low, high = mean_interval(scores)
+def test_what_has_no_interval():
+    single = np.array([[0.2, 0.8]])
+    assert np.isnan(mean_interval(single)[1:]).all()
+    assert mean_interval(single)[0].tolist() == [0.2, 0.8]
+    assert np.isnan(bootstrap_interval(single[:, :1])).all()
+    same = np.array([[0.3, 0.8], [0.2, 0.8], [math.nan, 0.8]])
+    _, low, high = mean_interval(same)
     assert np.isnan(low).tolist() == np.isnan(high).tolist() == [False, True]
 
 

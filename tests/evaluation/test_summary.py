@@ -46,9 +46,15 @@ def test_figures_worked_out_by_hand(tmp_path):
     good = group.agents["good"]
     assert (group.name, good.pieces, good.runs) == ("made-up", 2, 4)
     assert good.mean["f1"].value == pytest.approx(0.65)
-    # Only the runs of a differ: their mean is 0.7, 0.8 or 0.9, the ends a quarter of the time.
-    assert good.mean["f1"].low == pytest.approx(0.6)
-    assert good.mean["f1"].high == pytest.approx(0.7)
+    # A quarter of the samples have piece a alone, a quarter b alone.
+    assert good.mean["f1"].low == pytest.approx(0.5)
+    assert 0.8 <= good.mean["f1"].high <= 0.9
+    # On a by 0.55, on b by 0.45; each sample has the same pieces of both.
+    difference = group.differences["bad"]["f1"]
+    assert difference.value == pytest.approx(-0.5)
+    assert -0.7 <= difference.low <= -0.55
+    assert -0.45 <= difference.high <= -0.35
+    assert list(group.differences) == ["bad"]
     value, low, high = (part[0] for part in summary.by_piece["f1"])
     assert value == pytest.approx([0.8, 0.5])
     # Student's t of one degree of freedom is 12.7: from below 0 to above 1, where no F1 can be.
@@ -63,15 +69,6 @@ def test_an_agent_with_one_piece_has_the_interval_of_the_piece(tmp_path):
     of_agent, of_piece = summary.groups[0].agents["good"].mean["f1"], summary.by_piece["f1"]
     assert of_agent == (of_piece.value[0, 0], of_piece.low[0, 0], of_piece.high[0, 0])
     assert of_agent.low == pytest.approx(0.6 - 4.303 * 0.1 / math.sqrt(3), abs=1e-3)  # t of 2
-
-
-def test_who_plays_the_same_with_every_seed_has_no_interval(tmp_path):
-    still = {("a", "still", seed): 0.8 for seed in (0, 1)} | {("b", "still", 0): 0.4}
-    write(tmp_path, TWO_AGENTS | still)
-    agents = summary_of(tmp_path).groups[0].agents
-    assert math.isnan(agents["still"].mean["f1"].low)
-    assert math.isnan(agents["still"].mean["f1"].high)
-    assert not math.isnan(agents["good"].mean["f1"].low)
 
 
 def test_rewards_for_different_fingers_stand_apart(tmp_path):
@@ -177,8 +174,8 @@ def test_the_tables_have_the_same_figures(bench, tmp_path):
     found = read_results(bench)
     summary = summarize(found, "made up")
     names = write_tables(tmp_path, summary)
-    assert names == ["agents.csv", "pieces.csv", "runs.csv"]
-    agents, pieces, runs = (
+    assert names == ["agents.csv", "pieces.csv", "runs.csv", "differences.csv"]
+    agents, pieces, runs, differences = (
         list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in names
     )
     assert len(runs) == 42
@@ -194,6 +191,9 @@ def test_the_tables_have_the_same_figures(bench, tmp_path):
     assert (agents[0]["group"], agents[0]["agent"]) == ("All pieces", "planner")
     assert float(agents[0]["f1"]) == pytest.approx(everything.mean["f1"].value)
     assert [len(agents), len(pieces)] == [6, 14]
+    ilqg = summary.groups[0].differences["ilqg"]["f1"]
+    assert (differences[0]["agent"], differences[0]["than"]) == ("ilqg", "planner")
+    assert float(differences[0]["f1"]) == pytest.approx(ilqg.value)
 
 
 def test_what_is_not_known_is_an_empty_cell(tmp_path):

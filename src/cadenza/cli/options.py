@@ -107,9 +107,9 @@ def with_options_of(kind: type[Command], agents: Sequence[str]) -> type[Command]
     """
     names: dict[str, str] = {}
     taken = {*dir(kind), *(each.name for each in fields(kind))}
-    for agent in dict.fromkeys(agents):
-        if (Path(agent) / PRACTISED).is_file():
-            agent = PLANNER  # whose options hold for practised plans, too
+    # Options of the planner hold for practised plans, too.
+    named = (PLANNER if (Path(agent) / PRACTISED).is_file() else agent for agent in agents)
+    for agent in dict.fromkeys(named):
         if agent.startswith(TRAIN) or is_folder(agent) or agent_options(agent) is None:
             continue
         name = options_name(agent)

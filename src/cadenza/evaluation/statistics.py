@@ -15,6 +15,7 @@ Scores = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+MIN_PIECES = 2  # for an interval over pieces
 _SEED = 0  # of the bootstrap: the same runs have the same intervals
 
 
@@ -26,34 +27,36 @@ def mean(scores: Scores) -> Scores:
     return np.nanmean(scores, axis=-2).mean(axis=-1)
 
 
-def bootstrap_interval(scores: Scores) -> tuple[float, float]:
-    """Both ends of the interval of the `mean` of scores (runs, pieces).
+def bootstrap_interval(scores: Scores, others: Scores | None = None) -> tuple[float, float]:
+    """Both ends of the interval of the `mean` of scores (runs, pieces), or of its difference.
 
-    It is the stratified percentile bootstrap of section 4.1: the runs of each piece are resampled
-    with replacement, as many as there are. It shows the variation with the seeds, for these very
-    pieces. NaN if no piece has two runs that differ: nothing is random then.
+    It is the stratified percentile bootstrap of section 4.1, over pieces, too: pieces are resampled
+    with replacement, then the runs of each, as many as there are. So it shows the variation with
+    the pieces and with the seeds. The difference is that from the mean of `others`, the scores of
+    another agent on the same pieces: both have the same pieces in each sample (paired). NaN for
+    less than two pieces.
     """
-    if not _differ(scores).any():
+    num_pieces = scores.shape[1]
+    if num_pieces < MIN_PIECES:
         return np.nan, np.nan
-    means = mean(_resampled(scores, np.random.default_rng(_SEED)))
+    rng = np.random.default_rng(_SEED)
+    piece = rng.integers(num_pieces, size=(RESAMPLES, num_pieces))
+    means = mean(_resampled(scores, piece, rng))
+    if others is not None:
+        means = means - mean(_resampled(others, piece, rng))
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)
 
 
-def _differ(scores: Scores) -> NDArray[np.bool_]:
-    """Whether some run of a piece differs from another (pieces,)."""
-    lowest = np.fmin.reduce(scores, axis=0, initial=np.inf)
-    return np.asarray(np.fmax.reduce(scores, axis=0, initial=-np.inf) > lowest)
-
-
-def _resampled(scores: Scores, rng: np.random.Generator) -> Scores:
-    """Resample scores with replacement (RESAMPLES, runs, pieces)."""
+def _resampled(scores: Scores, piece: NDArray[np.intp], rng: np.random.Generator) -> Scores:
+    """Draw runs of pieces (RESAMPLES, pieces) with replacement: (RESAMPLES, runs, pieces)."""
     exists = ~np.isnan(scores)
     first = np.argsort(~exists, axis=0, kind="stable")  # existing runs first
-    drawn = rng.integers(np.maximum(exists.sum(axis=0), 1), size=(RESAMPLES, *scores.shape))
-    run = np.take_along_axis(first[None], drawn, axis=1)
-    return np.where(exists, np.take_along_axis(scores[None], run, axis=1), np.nan)
+    count, piece = exists.sum(axis=0)[piece][:, None], piece[:, None]
+    slot = np.arange(len(scores))[:, None]
+    run = first[rng.integers(count, size=(len(piece), *scores.shape)), piece]
+    return np.where(slot < count, scores[run, piece], np.nan)
 
 
 def mean_interval(scores: Scores) -> tuple[Scores, Scores, Scores]:
@@ -70,3 +73,9 @@ def mean_interval(scores: Scores) -> tuple[Scores, Scores, Scores]:
     error = np.sqrt(squares / (several - 1) / several)
     reach = stats.t.ppf((1 + CONFIDENCE) / 2, several - 1) * error
     return middle, middle - reach, middle + reach
+
+
+def _differ(scores: Scores) -> NDArray[np.bool_]:
+    """Whether some run of a piece differs from another (pieces,)."""
+    lowest = np.fmin.reduce(scores, axis=0, initial=np.inf)
+    return np.asarray(np.fmax.reduce(scores, axis=0, initial=-np.inf) > lowest)

@@ -73,13 +73,14 @@ METRICS = SHARES | {
 }
 """Metrics of a run; NaN stands for an unknown value."""
 
+COMPARED = ("note_onset_f1", "f1")  # metrics in which agents are compared piece by piece
 HEADLINES = ("note_onset_f1", "f1", "pooled_f1", "wall_per_music")  # metrics that are printed
 
 
 class Estimate(NamedTuple):
     """A value and its 95 % interval, numbers or arrays.
 
-    The interval is NaN with a single seed, or if every seed gave the same.
+    The interval of a piece is NaN with a single seed, or if every seed gave the same.
     """
 
     value: Any
@@ -112,6 +113,8 @@ class Group:
     name: str
     pieces: Sequence[int]  # indices of the pieces
     agents: Mapping[str, AgentSummary]  # every agent that played any of them
+    # How much better each other agent is than the first on what both played, in `COMPARED`
+    differences: Mapping[str, Mapping[str, Estimate]]
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,7 @@ def interval_text(name: str, estimate: Estimate) -> str:
     """Both ends of the interval as text; nothing if there is none."""
     if math.isnan(estimate.low):
         return ""
-    return f"{metric_text(name, estimate.low)}–{metric_text(name, estimate.high)}"
+    return f"{metric_text(name, estimate.low)} to {metric_text(name, estimate.high)}"
 
 
 AllScores = Mapping[str, Mapping[str, Scores]]
@@ -278,7 +281,24 @@ def _group(name: str, pieces: Sequence[int], scores: AllScores) -> Group:
                     metric: _estimate(agent_scores[metric][:, played], metric) for metric in METRICS
                 },
             )
-    return Group(name, list(pieces), agents)
+    first, *others = agents
+    differences = {
+        agent: {name: _difference(scores, agent, first, name, pieces) for name in COMPARED}
+        for agent in others
+    }
+    return Group(name, list(pieces), agents, differences)
+
+
+def _difference(
+    scores: AllScores, agent: str, other: str, metric: str, pieces: Sequence[int]
+) -> Estimate:
+    """By how much an agent is better than another on the pieces that both played."""
+    ours, theirs = (scores[each][metric] for each in (agent, other))
+    common = sorted(_played(ours) & _played(theirs) & set(pieces))
+    if not common:
+        return Estimate(math.nan, math.nan, math.nan)
+    ours, theirs = ours[:, common], theirs[:, common]
+    return Estimate(float(mean(ours) - mean(theirs)), *bootstrap_interval(ours, theirs))
 
 
 def _estimate(scores: Scores, metric: str) -> Estimate:

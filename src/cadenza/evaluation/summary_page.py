@@ -12,7 +12,14 @@ import numpy as np
 from cadenza.errors import counted
 from cadenza.evaluation.jobs import SongFacts
 from cadenza.evaluation.results import PAGE
-from cadenza.evaluation.summary import METRICS, BenchSummary, Estimate, interval_text, metric_text
+from cadenza.evaluation.summary import (
+    COMPARED,
+    METRICS,
+    BenchSummary,
+    Estimate,
+    interval_text,
+    metric_text,
+)
 from cadenza.report.html_pages import render, write_page
 
 _ABOUT = "Piece", "Library", "Difficulty", "Seconds", "Notes"  # columns of a table of pieces
@@ -57,6 +64,8 @@ def summary_page(
         about=_ABOUT if several else (),
         rows=_rows(summary, folder),
         metrics=METRICS,
+        agents=summary.agents,
+        compared=COMPARED,
         interval_text=interval_text,
         downloads=downloads,
         styles=("page.css", "summary.css"),

@@ -19,12 +19,17 @@ Row = Mapping[str, Any]
 
 
 def write_tables(folder: Path, summary: BenchSummary) -> list[str]:
-    """Write agents.csv, pieces.csv and runs.csv; return their names."""
+    """Write agents.csv, pieces.csv, runs.csv and, of several agents, differences.csv.
+
+    Returns their names.
+    """
     tables = {
         "agents": list(_agents(summary)),
         "pieces": list(_pieces(summary)),
         "runs": list(_runs(summary, folder)),
     }
+    if differences := list(_differences(summary)):
+        tables["differences"] = differences
     for name, rows in tables.items():
         write_csv(folder / f"{name}.csv", rows)
     return [f"{name}.csv" for name in tables]
@@ -38,6 +43,17 @@ def _agents(summary: BenchSummary) -> Iterator[Row]:
             row |= {"pieces": agent_summary.pieces, "runs": agent_summary.runs}
             for name in METRICS:
                 row |= _ends(name, agent_summary.mean[name])
+            yield row
+
+
+def _differences(summary: BenchSummary) -> Iterator[Row]:
+    """Yield how much each agent is better than the best one, for every group."""
+    for group in summary.groups:
+        for agent, of_agent in group.differences.items():
+            row: dict[str, Any] = {"group": group.name, "agent": agent}
+            row |= {"than": next(iter(group.agents))}
+            for name, estimate in of_agent.items():
+                row |= _ends(name, estimate)
             yield row
 
 
