@@ -503,15 +503,17 @@ def test_rewards_say_what_their_numbers_are_and_the_cursor_strikes_out_none(brow
     assert browser.colliding_labels("#rewards canvas") == []
     browser.evaluate("cadenza.seek(0)")
     hide = "document.querySelectorAll('.cursor').forEach(e => {{ e.style.visibility = '{}' }})"
-    for part in (".term", "#roll"):
+    changes = {}
+    for part in (".term", ".drawing", "#roll"):
         seen = []
         for visibility in ("visible", "hidden"):
             browser.evaluate(hide.format(visibility))
             seen.append(browser.picture(part).astype(int))
-        changed = np.abs(seen[0] - seen[1]).max(axis=(1, 2)) > 40  # rows of the picture
-        words = changed[-20:] if part == "#roll" else changed[:-1]  # its edge shows the chart
-        assert not words.any()
-    assert changed[:-30].any()  # over the roll itself there is a cursor
+        changes[part] = np.abs(seen[0] - seen[1]).max(axis=(1, 2)) > 40  # rows of the picture
+    assert not changes[".term"][:-1].any()  # its edge shows the chart
+    assert changes[".drawing"].all()  # in charts there is a cursor, and in the roll itself
+    assert changes["#roll"][:-30].any()
+    assert not changes["#roll"][-20:].any()
 
 
 @pytest.mark.slow

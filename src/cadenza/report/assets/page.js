@@ -133,6 +133,7 @@ function redraw() {
   show(now());
 }
 new ResizeObserver(redraw).observe($("roll"));
+document.querySelector(".figures").addEventListener("toggle", redraw); // its charts have no width before
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 Object.assign(cadenza, { seek, play, pause, stage, ready: true });
 fitToWindow();
