@@ -9,15 +9,10 @@ import cadenza
 from cadenza.cli import main
 from cadenza.files import read_json
 from cadenza.music.score import Note, Score
-from cadenza.tasks.setups import SETUPS, NamedSetup, setup_named
+from cadenza.tasks.setups import NamedSetup
 
 TWO_NOTES = Score((Note(0.0, 0.2, 60), Note(0.3, 0.5, 64)), title="Two notes")
 RIGHT_HAND = NamedSetup({"hand": "allegro", "hands": "right", "forearm_dofs": ("tx",)}, "zero")
-
-
-@pytest.mark.parametrize("name", SETUPS.own)
-def test_every_setup_is_there(name):
-    assert isinstance(setup_named(name), NamedSetup)
 
 
 def test_no_such_setup():

@@ -24,17 +24,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     **{f"hand {name}": {"hand": name} for name in HANDS.own},
     **{f"keyboard {name}": {"keyboard": name, **ONE_HAND} for name in KEYBOARDS.own},
     "onsets": {"onset_goals": True, "onset_timing_coefficient": 0.5, "loudness_coefficient": 0.2},
-    "randomization": {
-        "randomization": {
-            "mass": (0.8, 1.2),
-            "control_noise": 0.1,
-            "joint_noise": 0.01,
-            "latency": (0, 0.1),
-        },
-        "random_pitch_shift": 3,
-    },
+    "other songs": {"random_pitch_shift": 3, "random_stretch": 0.2},
     "sleeping keys": {"physics": "fast", "sleeping_keys": True},
-    "hands apart": {"hand": "arm-allegro", "hands": "apart"},
+    "hands apart": {"setup": "harsh", "hands": "apart"},
     "without hands": {"hands": "none"},
 }
 

@@ -15,7 +15,7 @@ from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score, note_name
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.env import PianoEnv, PianoVectorEnv
+from cadenza.tasks.env import PianoEnv
 from cadenza.tasks.piano_task import PianoTask
 from report_pages import recording_in
 
@@ -37,16 +37,6 @@ def test_it_plays_itself_from_the_first_key_to_the_last():
         assert_array_equal(observation[layout["key_state"]] > 0.9, goal[:25])
         assert reward == pytest.approx(1.0 if goal.any() else 0.5, abs=0.01)
     assert info["metrics/f1"] == info["metrics/note_onset_offset_f1"] == 1.0
-
-
-def test_hands_play_it():
-    envs = PianoVectorEnv(SONG, num_envs=2, keyboard=KEYBOARD, initial_buffer_time=0.0)
-    observation, _ = envs.reset(seed=0)
-    assert observation in envs.observation_space
-    observation, reward, *_, infos = envs.step(np.zeros((2, 39)))
-    assert observation in envs.observation_space
-    assert (infos["reward/fingering"] > 0).all()
-    assert np.isfinite(reward).all()
 
 
 @pytest.mark.parametrize("agent", ["zero", "planner"])
