@@ -13,7 +13,7 @@ _INTERRUPTED = 130
 
 
 def main() -> None:
-    """Runs the command line, see `cadenza.cli.main`."""
+    """Run the command line, see `cadenza.cli.main`."""
     heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     try:
         if heeded:

@@ -36,7 +36,7 @@ class Hub(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}"
 
     def commit(self, kind: str, repo: str, files: Files) -> str:
-        """Adds a commit with these files to what is there; returns its hash."""
+        """Add a commit with these files; return its hash."""
         commits = self.commits.setdefault((kind, repo), {})
         whole = {**next(reversed(commits.values()), {}), **files}
         digest = hashlib.sha1(f"{len(commits)} {sorted(whole)}".encode()).hexdigest()
@@ -46,7 +46,7 @@ class Hub(ThreadingHTTPServer):
 
 @contextmanager
 def running() -> Iterator[Hub]:
-    """Yields a hub without repositories."""
+    """Yield a hub without repositories."""
     with Hub() as hub:
         Thread(target=hub.serve_forever, daemon=True).start()
         yield hub

@@ -10,9 +10,9 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     with pytest.raises(SystemExit) as stop:
         main([str(word) for word in words])
     assert stop.value.code == 1
-    said = capsys.readouterr()
-    assert "Traceback" not in said.out + said.err
-    return said.err
+    output = capsys.readouterr()
+    assert "Traceback" not in output.out + output.err
+    return output.err
 
 
 def refused_in_a_line(capsys: pytest.CaptureFixture[str], *words: object) -> str:

@@ -10,7 +10,7 @@ _KEY_RANGE, _LOOPED, _INSTRUMENT, _SAMPLE = 43, 54, 41, 53  # generators
 
 
 def sine_font() -> bytes:
-    """Returns a sound font (SF2) whose only instrument is a sine."""
+    """A sound font (SF2) whose only instrument is a sine."""
     wave = np.sin(2 * np.pi * PERIODS * np.arange(RATE) / RATE)
     samples = np.append((16_000 * wave).astype("<i2"), np.zeros(_SILENCE, "<i2"))
 

@@ -31,7 +31,7 @@ TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)), ti
 
 
 class Still(cadenza.Agent):
-    """Does nothing."""
+    """An agent that does nothing."""
 
     def act(self, view: cadenza.View) -> np.ndarray:
         return np.zeros((len(view.env_ids), view.task.action_size))
@@ -49,8 +49,8 @@ print([m for m in {heavy} if m in sys.modules], set(cadenza.__all__) - set(dir(c
 for name in cadenza.__all__:
     getattr(cadenza, name)
 print(callable(cadenza.play) and callable(cadenza.plan) and "jax" not in sys.modules)"""
-    said = subprocess.check_output([sys.executable, "-c", code], text=True)
-    assert said == "[] set()\nTrue\n"
+    output = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert output == "[] set()\nTrue\n"
     with pytest.raises(AttributeError, match="no attribute 'dance'"):
         cadenza.dance  # noqa: B018
 
@@ -103,10 +103,10 @@ def test_notes_are_kept_as_they_were_struck(tmp_path):
 def test_what_was_played_has_the_title_and_the_bars_of_the_song(tmp_path):
     performance = cadenza.play("FurEliseOpening", "random")
     performance.save(tmp_path, page=False)
-    played, wanted = (read_midi(tmp_path / f"{name}.mid") for name in ("played", "wanted"))
-    assert played.title == wanted.title == performance.goal.title
+    played, expected = (read_midi(tmp_path / f"{name}.mid") for name in ("played", "wanted"))
+    assert played.title == expected.title == performance.goal.title
     begins = {round(bar.time, 3) for bar in performance.goal.bars}
-    for read in played, wanted:
+    for read in played, expected:
         assert {round(bar.time, 3) for bar in read.bars} >= begins
     assert len(played.notes) == len(performance.played.notes)
 
@@ -133,8 +133,8 @@ def test_an_agent_of_ones_own_plays():
 
 def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch):
     monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 16)
-    for wanted, used in ((None, 2), (3, 3)):
-        with threadpool_limits(16), set_up(TUNE, find_player(), num_threads=wanted) as setup:
+    for num_threads, used in ((None, 2), (3, 3)):
+        with threadpool_limits(16), set_up(TUNE, find_player(), num_threads=num_threads) as setup:
             assert setup.agent.threads == used
             assert max(pool["num_threads"] for pool in threadpool_info()) <= used
 

@@ -114,20 +114,20 @@ def test_another_end_and_since_when_it_holds_is_kept(copy, monkeypatch):
     longer = replace(CONFIG, num_steps=128)
     with closing(Training(problem_of(longer, [SONG]), RunFolder(copy))) as run:
         run.run(lambda: run.step < 80)
-    told, make = list[object](), DroQConfig.make
-    monkeypatch.setattr(DroQConfig, "make", lambda *given: told.append(given[-1]) or make(*given))
+    calls, make = list[object](), DroQConfig.make
+    monkeypatch.setattr(DroQConfig, "make", lambda *given: calls.append(given[-1]) or make(*given))
     with closing(Training(problem_of(longer, [SONG]), RunFolder(copy))):
         pass
-    assert told == [tuple(tuple(map(longer.updates_by, end)) for end in ((0, 64), (40, 128)))]
+    assert calls == [tuple(tuple(map(longer.updates_by, end)) for end in ((0, 64), (40, 128)))]
 
 
 def test_a_run_whose_learner_has_other_threads_says_so(copy, monkeypatch, capsys):
     """Its bits are not those of other runs with the same seed."""
     make = DroQConfig.make.__wrapped__  # type: ignore[attr-defined]
-    for threads, said in ((2, 0), (None, 0), (7, 1)):
+    for threads, count in ((2, 0), (None, 0), (7, 1)):
         monkeypatch.setattr(on_jax, "_num_threads", lambda threads=threads: threads)
         assert make(CONFIG.learner, Inputs((0, 1), 2), 1).num_threads == threads
-        assert capsys.readouterr().err.count("JAX was started before this run with 7") == said
+        assert capsys.readouterr().err.count("JAX was started before this run with 7") == count
     monkeypatch.setattr(DroQConfig, "make", make)
     go_on(copy, 1)
     assert read_tensors(copy / CHECKPOINT, ANY, 2**28)[1]["own"]["threads"] == 7

@@ -118,10 +118,10 @@ def test_help_says_what_it_does(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*command.split(), "--help"])
     assert stop.value.code == 0
-    said = capsys.readouterr().out
-    assert said.startswith(f"usage: cadenza {command}".strip())
-    assert said.split("\n\n")[1].endswith((".", "?"))
-    assert "Traceback" not in said
+    output = capsys.readouterr().out
+    assert output.startswith(f"usage: cadenza {command}".strip())
+    assert output.split("\n\n")[1].endswith((".", "?"))
+    assert "Traceback" not in output
 
 
 @pytest.mark.parametrize(
@@ -143,9 +143,9 @@ def test_a_command_line_that_cannot_be_read(arguments, message, capsys):
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2
-    said = " ".join(capsys.readouterr().err.replace("│", "").split())
-    assert message in said
-    assert "--help" in said
+    line = " ".join(capsys.readouterr().err.replace("│", "").split())
+    assert message in line
+    assert "--help" in line
 
 
 def facts(out: str) -> dict[str, str]:
@@ -155,23 +155,23 @@ def facts(out: str) -> dict[str, str]:
 
 def test_info_on_a_song(capsys):
     main(["info", "TwinkleTwinkleLittleStar"])
-    told = facts(capsys.readouterr().out)
-    assert told["length"] == "8.0 s, 161 steps"
-    assert told["notes"] == "14"
-    assert told["at once"] == "up to 1 key"
-    assert told["fingering"] == "given for 14 of 14 notes"
-    assert told["hands"] == "as written, 14 notes for the right and 0 for the left"
+    shown = facts(capsys.readouterr().out)
+    assert shown["length"] == "8.0 s, 161 steps"
+    assert shown["notes"] == "14"
+    assert shown["at once"] == "up to 1 key"
+    assert shown["fingering"] == "given for 14 of 14 notes"
+    assert shown["hands"] == "as written, 14 notes for the right and 0 for the left"
 
 
 def test_info_on_the_installation(capsys):
     main(["info"])
-    told = facts(capsys.readouterr().out)
-    assert told["cadenza"] == cadenza.__version__
-    assert int(told["cores"]) >= 1
-    assert told["can draw pictures"].startswith(("yes", "no; "))
-    assert told["agent ilqg"] == "the paper's planner with derivatives"
-    assert told["hand allegro"] == "the Allegro Hand, four fingers"
-    assert told["keyboard piano"] == "the 88 keys of a piano"
+    shown = facts(capsys.readouterr().out)
+    assert shown["cadenza"] == cadenza.__version__
+    assert int(shown["cores"]) >= 1
+    assert shown["can draw pictures"].startswith(("yes", "no; "))
+    assert shown["agent ilqg"] == "the paper's planner with derivatives"
+    assert shown["hand allegro"] == "the Allegro Hand, four fingers"
+    assert shown["keyboard piano"] == "the 88 keys of a piano"
 
 
 @pytest.mark.parametrize("arguments", [["songs"], ["play", "--help"]])
@@ -226,8 +226,8 @@ def test_one_step_and_one_note(tmp_path, capsys):
     assert "0.0 s, 1 step\n" in capsys.readouterr().out
     options = ["--agent", "generalist", "--no-video", "-o", str(tmp_path / "out")]
     main(["play", str(tmp_path / "note.mid"), *options])
-    assert " of 1 note" in (said := capsys.readouterr().out)
-    assert "1 notes" not in said
+    assert " of 1 note" in (output := capsys.readouterr().out)
+    assert "1 notes" not in output
 
 
 @pytest.mark.parametrize(
@@ -246,9 +246,11 @@ def test_a_full_disk_is_told_in_a_line(words, tune, tmp_path, monkeypatch, capsy
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    said = refused(capsys, *(word.format(tune=tune, out=tmp_path / "out") for word in words))
-    assert said.splitlines()[-1].startswith(f"cadenza: {tmp_path / 'out'}")
-    assert said.endswith(": the disk is full; free some space, then give the same command again\n")
+    message = refused(capsys, *(word.format(tune=tune, out=tmp_path / "out") for word in words))
+    assert message.splitlines()[-1].startswith(f"cadenza: {tmp_path / 'out'}")
+    assert message.endswith(
+        ": the disk is full; free some space, then give the same command again\n"
+    )
 
 
 def test_a_run_for_which_the_disk_is_full_says_so(tmp_path):
@@ -305,8 +307,8 @@ def test_a_film_that_cannot_be_is_refused_in_a_line(tune, tmp_path, capsys, monk
     assert "no camera 'back': choose from player, close" in refused_in_a_line(
         capsys, *film, "--camera", "back"
     )
-    said = refused_in_a_line(capsys, "film", tmp_path)
-    assert "holds no performance (episode.npz); make one with" in said
+    message = refused_in_a_line(capsys, "film", tmp_path)
+    assert "holds no performance (episode.npz); make one with" in message
     assert "choose a name with one of these endings" in refused_in_a_line(
         capsys, *film, "-o", tmp_path / "a.png"
     )
@@ -355,10 +357,10 @@ def test_play_leaves_what_it_promises(tune, tmp_path, capsys):
     playing = ("play", tune, "--hands", "none", "--agent", "playback", "--plan", plan)
     arguments = [*playing, "-o", folder, *AT_ONCE]
     main([str(argument) for argument in [*arguments, "--verbose"]])
-    said = capsys.readouterr()
-    assert said.out.startswith("All ")
-    assert "\nf1: 1\n" in said.out
-    assert f"Open {folder / 'report.html'}" in said.out
+    output = capsys.readouterr()
+    assert output.out.startswith("All ")
+    assert "\nf1: 1\n" in output.out
+    assert f"Open {folder / 'report.html'}" in output.out
     names = {path.name for path in folder.iterdir()}
     assert names == PERFORMANCE
     assert all(path.stat().st_size for path in folder.iterdir())
@@ -369,7 +371,7 @@ def test_play_leaves_what_it_promises(tune, tmp_path, capsys):
     scores |= {"note_onset_f1", "note_onset_offset_f1"}
     other = {"return", "reward/key_press", "reward/loudness", "reward/onset_timing", "energy"}
     other |= {"steps", "planning_seconds", "playing_seconds", "rewarded_fingers"}
-    assert f"\nreward/key_press: {metrics['reward/key_press']:.4g}\n" in said.out
+    assert f"\nreward/key_press: {metrics['reward/key_press']:.4g}\n" in output.out
     expression = expressive_metrics(Score(()), Score(())).keys() - scores
     assert metrics.keys() == scores | other | expression | {"unstable", "timing_error"}
     assert {metrics[name] for name in scores} == {1.0}
@@ -401,8 +403,8 @@ def test_nothing_of_another_performance_stays(tune, tmp_path):
 def test_what_somebody_else_has_written_stays(command, name, tune, tmp_path, capsys):
     write_json(tmp_path / "mine" / name, {"song": "of the user"})
     before = (tmp_path / "mine" / name).read_bytes()
-    said = refused(capsys, command, tune, "--no-video", "-o", tmp_path / "mine")
-    assert f"holds {name} from something else" in said
+    message = refused(capsys, command, tune, "--no-video", "-o", tmp_path / "mine")
+    assert f"holds {name} from something else" in message
     assert (tmp_path / "mine" / name).read_bytes() == before
     assert [path.name for path in (tmp_path / "mine").iterdir()] == [name]
 
@@ -464,11 +466,11 @@ def test_notes_without_a_finger_are_told(tmp_path, capsys):
     write_midi(low_and_high, tmp_path / "far.mid")
     options = ["--arrange", "off", "--hands", "right", "--verbose", "-o", str(tmp_path)]
     main(["play", str(tmp_path / "far.mid"), *options])
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     (lost,) = json.loads((tmp_path / "misses.json").read_text())
     assert (lost["note"], lost["finger"], lost["time"]) == ("F♯1", -1, 0.5)
-    assert "1 note missed: no finger\n" in said
-    assert "no finger for 1 note: " + lost["reason"].removeprefix("no finger for it: ") in said
+    assert "1 note missed: no finger\n" in output
+    assert "no finger for 1 note: " + lost["reason"].removeprefix("no finger for it: ") in output
     assert lost["reason"] in str(recording_in((tmp_path / "report.html").read_text()))
 
 
@@ -501,9 +503,9 @@ def told_to_run(out: str) -> list[str]:
 def test_a_plan_replays_bit_for_bit(options, tune, tmp_path, capsys):
     path = tmp_path / "a plan.safetensors"
     main(["plan", str(tune), "-o", str(path), *options])
-    said = capsys.readouterr().out
-    assert "in time (within 50 ms)" in said
-    main([*told_to_run(said), "--no-video", "-o", str(tmp_path)])
+    output = capsys.readouterr().out
+    assert "in time (within 50 ms)" in output
+    main([*told_to_run(output), "--no-video", "-o", str(tmp_path)])
     arrays, facts = read_tensors(path, ANY, 2**20)
     assert arrays["action"].dtype == np.float64
     assert (facts["song"], facts["dt"]) == ("tune", 0.05)
@@ -541,8 +543,8 @@ def test_a_plan_made_with_other_options(options, message, tmp_path, tune, capsys
     }
     write_tensors(path, made, facts)
     arguments = ("play", tune, "--agent", "playback", "--plan", path, *options, "-o", tmp_path)
-    said = refused_in_a_line(capsys, *arguments)
-    assert f"{path}: was planned with {message}; use the same value" in said
+    line = refused_in_a_line(capsys, *arguments)
+    assert f"{path}: was planned with {message}; use the same value" in line
 
 
 def test_fingers_that_feel_play_the_same_plan_in_any_physics_and_against_noise():
@@ -586,16 +588,16 @@ def test_a_plan_is_drawn_as_sheet_music(tune, tmp_path):
     assert len(numbers) == len(cadenza.load_song(tune).notes)
 
 
-@pytest.mark.parametrize("mine", [None, "0.0 60 R3\n"])
-def test_a_plan_may_be_called_like_its_song(mine, tune):
+@pytest.mark.parametrize("text", [None, "0.0 60 R3\n"])
+def test_a_plan_may_be_called_like_its_song(text, tune):
     own = tune.with_suffix(".fingering")
-    if mine is not None:
-        own.write_text(mine)
+    if text is not None:
+        own.write_text(text)
     before = cadenza.load_song(tune)
     out = ["-o", str(tune.with_suffix(".safetensors"))]
     main(["plan", str(tune), "--planner.method", "none", *out])
     assert cadenza.load_song(tune) == before  # its fingers have not become those of the plan
-    assert (own.read_text() if own.exists() else None) == mine
+    assert (own.read_text() if own.exists() else None) == text
     assert read_fingering(f"{tune.with_suffix('.safetensors')}.fingering", TUNE).has_fingering
 
 
@@ -645,11 +647,11 @@ def test_tracks_tempo_changes_and_notes_off_the_keyboard(tmp_path, capsys):
     path = tmp_path / "tracks.mid"
     file.save(path)
     main(["info", str(path)])
-    told = facts(capsys.readouterr().out)
-    assert told["length"] == "1.5 s, 31 steps"
-    assert told["notes"] == "3"
-    assert told["range"] == "C3 to E5 (MIDI 48 to 76)"
-    assert "88 keys" in told["repaired 1"]
+    shown = facts(capsys.readouterr().out)
+    assert shown["length"] == "1.5 s, 31 steps"
+    assert shown["notes"] == "3"
+    assert shown["range"] == "C3 to E5 (MIDI 48 to 76)"
+    assert "88 keys" in shown["repaired 1"]
     main(["play", str(path), *QUICK, "-o", str(tmp_path / "played")])
     assert "88 keys" in capsys.readouterr().err
     assert load_episode(tmp_path / "played/episode.npz").num_steps == 41
@@ -703,8 +705,8 @@ def test_options_that_make_no_sense(arguments, message, tmp_path, monkeypatch, c
 @pytest.mark.parametrize("command", ["info", "play", "arrange", "train"])
 def test_an_address_is_no_song(command, capsys):
     url = "https://example.org/song.mid"
-    said = refused(capsys, command, url).splitlines()[-1]
-    assert said == f"cadenza: {url}: is an address; download the file, and give its path"
+    message = refused(capsys, command, url).splitlines()[-1]
+    assert message == f"cadenza: {url}: is an address; download the file, and give its path"
 
 
 @pytest.mark.parametrize("place", ["", "below", "further/below"])
@@ -775,8 +777,8 @@ def test_without_assertions_and_docstrings(tune, tmp_path):
     lines = (["play", tune, *QUICK, "-o", played], ["plan", tune, "-o", plan], ["play", "--help"])
     words = [[str(word) for word in line] for line in lines]
     code = f"from cadenza.cli import main\nfor line in {words}: main(line)"
-    said = subprocess.check_output([sys.executable, "-OO", "-c", code], text=True)
-    assert " in time (within 50 ms)" in said
-    assert "F1 " not in said  # which is for --verbose
-    assert "Fingering in" in said
-    assert "--seed" in said
+    output = subprocess.check_output([sys.executable, "-OO", "-c", code], text=True)
+    assert " in time (within 50 ms)" in output
+    assert "F1 " not in output  # which is for --verbose
+    assert "Fingering in" in output
+    assert "--seed" in output

@@ -134,22 +134,22 @@ def test_a_policy_on_another_song_is_a_line_on_stderr(here, capsys):
 def test_a_song_that_a_policy_has_learnt_is_not_arranged_for_it(option, here, capsys):
     policy(here / "run")
     write_midi(replace(TUNE, title="A tune"), here / "again.mid")
-    said = refused(capsys, "play", "again.mid", "--agent", "run", "--no-video", *option)
-    assert "run: plays this song as it has learnt it; leave out --arrange and --level" in said
+    message = refused(capsys, "play", "again.mid", "--agent", "run", "--no-video", *option)
+    assert "run: plays this song as it has learnt it; leave out --arrange and --level" in message
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "said"),
+    ("option", "value", "message"),
     [
         ("--stretch", "2", "was trained with stretch 1.0, but here it is 2.0"),
         ("--hands", "right", "was trained with hands both, but here it is right"),
         ("--random-pitch-shift", "2", "with random_pitch_shift 0, but here it is 2"),
     ],
 )
-def test_what_changes_the_plan_that_a_policy_corrects(option, value, said, here, capsys):
+def test_what_changes_the_plan_that_a_policy_corrects(option, value, message, here, capsys):
     line = refused(capsys, "play", "OdeToJoy", "--agent", "pretrained", option, value)
     assert line.startswith("cadenza: pretrained: was trained with ")
-    assert line.endswith(f"{said}; leave out that option, or train a new policy")
+    assert line.endswith(f"{message}; leave out that option, or train a new policy")
     assert not (here / "played").exists()
 
 
@@ -182,20 +182,20 @@ def test_a_plan_is_played_in_its_physics_unless_told_otherwise(here, capsys):
     assert recorded["return"] == replayed["return"]
     main([*replay, "-o", "c", "--physics", "published"])
     assert settings(here / "c")["scene"]["physics"] == "published"
-    said = capsys.readouterr().err
-    assert said == "a/episode.npz: made in the fast physics, played in the published physics\n"
+    message = capsys.readouterr().err
+    assert message == "a/episode.npz: made in the fast physics, played in the published physics\n"
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "said"),
+    ("option", "value", "message"),
     [
         ("--hands", "right", "with hands both, but here it is right"),
         ("--n-steps-lookahead", "3", "with n_steps_lookahead 10, but here it is 3"),
     ],
 )
-def test_what_a_policy_cannot_observe(option, value, said, here, capsys):
+def test_what_a_policy_cannot_observe(option, value, message, here, capsys):
     policy(here / "run")
-    assert said in refused(capsys, "play", "--agent", "run", option, value)
+    assert message in refused(capsys, "play", "--agent", "run", option, value)
     main(["play", "--agent", "run", "--n-seconds-lookahead", "0.5", "--no-video"])  # as many steps
 
 
@@ -234,7 +234,7 @@ def test_results_stay_below_their_folder_whatever_a_file_is_called(name, here):
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         (
             "nowhere:Still",
@@ -251,8 +251,8 @@ def test_results_stay_below_their_folder_whatever_a_file_is_called(name, here):
         ("xyz", "no agent 'xyz': choose from planner, "),
     ],
 )
-def test_agents_that_there_are_not(name, said, capsys):
-    assert said in refused(capsys, "play", "tune.mid", "--agent", name)
+def test_agents_that_there_are_not(name, message, capsys):
+    assert message in refused(capsys, "play", "tune.mid", "--agent", name)
 
 
 @pytest.mark.usefixtures("here")
@@ -292,8 +292,8 @@ def interrupted(capsys: pytest.CaptureFixture[str], agent: str) -> str:
 
 
 def test_ctrl_c_keeps_what_was_played(here, capsys):
-    said = interrupted(capsys, "own:Impatient")
-    assert "stopped after 0.2 of 1.2 s: the results cover only that part\n" in said
+    message = interrupted(capsys, "own:Impatient")
+    assert "stopped after 0.2 of 1.2 s: the results cover only that part\n" in message
     assert load_episode(here / "part" / "episode.npz").num_steps == 3
     assert json.loads((here / "part" / "metrics.json").read_text())["steps"] == 3
     assert (here / "part" / "report.html").exists()
@@ -313,9 +313,9 @@ def test_being_stopped_while_results_are_written_writes_them_all(number, here, c
 
     stopped: list[int] = []
     monkeypatch.setattr(performance, "encode_opus", encode_and_stop)
-    said = interrupted(capsys, "own:Still")
-    assert "stopping after writing the results; press Ctrl-C again" in said
-    assert "cover only that part" not in said
+    message = interrupted(capsys, "own:Still")
+    assert "stopping after writing the results; press Ctrl-C again" in message
+    assert "cover only that part" not in message
     assert "</html>" in (here / "part" / "report.html").read_text()
 
 

@@ -73,7 +73,7 @@ def of(command: subprocess.Popen[str], status: int = 0) -> str:
 
 
 def until(what: Callable[[], object]) -> None:
-    """Waits for it."""
+    """Wait for a condition."""
     end = time.monotonic() + _PATIENCE
     while not what():
         assert time.monotonic() < end
@@ -181,10 +181,10 @@ def test_control_c_says_what_is_left_and_the_same_command_goes_on(folder):
     command = started("bench_agents:Slow")
     until(lambda: under_way(folder))
     os.killpg(command.pid, signal.SIGINT)  # as a terminal does
-    said = of(command, status=130)
-    assert "0 of 2 runs finished, 2 left" in said
-    assert "run the same command again" in said
-    assert "Traceback" not in said
+    message = of(command, status=130)
+    assert "0 of 2 runs finished, 2 left" in message
+    assert "run the same command again" in message
+    assert "Traceback" not in message
     assert "2 of 2 runs finished" in of(started("bench_agents:Slow"))
 
 
@@ -193,10 +193,10 @@ def test_a_run_that_is_killed_loses_only_itself_and_is_taken_up_again(folder):
     command = started("bench_agents:Counted")
     until(lambda: under_way(folder))
     os.kill(under_way(folder)[0], signal.SIGKILL)
-    said = of(command)
-    assert "its process was killed (SIGKILL)" in said
-    assert "it will be taken up again" in said
-    assert "2 of 2 runs finished" in said
+    message = of(command)
+    assert "its process was killed (SIGKILL)" in message
+    assert "it will be taken up again" in message
+    assert "2 of 2 runs finished" in message
     assert len(list(folder.glob("begun-*"))) == 3
 
 
@@ -296,10 +296,10 @@ def test_a_page_and_tables_are_left_and_agents_told(bench, capsys):
     main(["results", str(bench)])
     left = {path.name for path in (bench / "results").iterdir()}
     assert left == {"index.html", "agents.csv", "pieces.csv", "runs.csv", "differences.csv"}
-    told = capsys.readouterr().out
-    assert "planner" in told
-    assert "1 run is not finished." in told
-    assert told.endswith(f"Open {bench / 'results' / 'index.html'}\n")
+    output = capsys.readouterr().out
+    assert "planner" in output
+    assert "1 run is not finished." in output
+    assert output.endswith(f"Open {bench / 'results' / 'index.html'}\n")
 
 
 def test_folders_may_have_names_that_are_no_text(bench, tmp_path):
@@ -316,14 +316,14 @@ def test_another_folder_and_a_figure(bench, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["nowhere"], "nowhere: holds no runs; give the folder of a bench"),
         (["bench", "--figure", "f.png"], "f.png: the figure is an .svg picture"),
         (["empty"], "empty: no run is finished"),
     ],
 )
-def test_what_cannot_be_summed_up(bench, monkeypatch, capsys, arguments, said):
+def test_what_cannot_be_summed_up(bench, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(bench.parent)
     Path("empty", "runs").mkdir(parents=True)
-    assert said in refused(capsys, "results", *arguments)
+    assert message in refused(capsys, "results", *arguments)

@@ -60,9 +60,9 @@ def test_killed_and_resumed_and_two_at_once(folder):
     before = results(folder)
     assert 2 <= len(before) < 8
     both = [started("--episodes", "4") for _ in range(2)]
-    said = [command.communicate(timeout=_PATIENCE)[0] for command in both]
-    assert [command.returncode for command in both] == [0, 0], said
-    assert all("8 of 8 runs finished" in text for text in said)
+    output = [command.communicate(timeout=_PATIENCE)[0] for command in both]
+    assert [command.returncode for command in both] == [0, 0], output
+    assert all("8 of 8 runs finished" in text for text in output)
     after = results(folder)
     assert len(after) == 8
     assert before.items() <= after.items()
@@ -76,9 +76,9 @@ def test_an_episode_is_played_again_to_a_page(folder, capsys):
     capsys.readouterr()
     main(["dataset", "play", "out", "1", "-o", "page"])
     about = kept(folder / "out")[1].facts
-    said = capsys.readouterr().out
-    assert f"\nf1: {about.f1:.4g}\n" in said
-    assert f"\nnote_onset_f1: {about.note_onset_f1:.4g}\n" in said
+    output = capsys.readouterr().out
+    assert f"\nf1: {about.f1:.4g}\n" in output
+    assert f"\nnote_onset_f1: {about.note_onset_f1:.4g}\n" in output
     assert (folder / "page" / "report.html").exists()
 
 

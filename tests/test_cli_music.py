@@ -120,17 +120,17 @@ def test_chords_that_follow_one_another_within_a_step_are_not_at_once(tmp_path, 
 
 def test_info_tells_of_the_tracks_that_are_chosen(trio, capsys):
     main(["info", str(trio), "--tracks", "1", "3"])
-    said = capsys.readouterr().out
-    assert "MIDI 45 to 79" in said
-    assert "notes      8" in said
+    output = capsys.readouterr().out
+    assert "MIDI 45 to 79" in output
+    assert "notes      8" in output
 
 
 def test_a_song_for_a_band_is_arranged_for_the_hands(tmp_path, capsys):
     play = ["play", "benchmark/band-1007", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
     main(play)
-    said = capsys.readouterr().err
-    assert "benchmark/band-1007: arranged for both hands: " in said
-    assert "; as written: --arrange off" in said
+    message = capsys.readouterr().err
+    assert "benchmark/band-1007: arranged for both hands: " in message
+    assert "; as written: --arrange off" in message
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["melody_kept"] > 0.9
     assert 0 < metrics["original_f1"] < 1
@@ -151,11 +151,11 @@ def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(tm
     play = ["play", "MoonlightOpening", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
     main(play)
     assert "arranged" not in capsys.readouterr().err
-    wanted, written = (
+    expected, written = (
         read_midi(tmp_path / "wanted.mid"),
         load_song("MoonlightOpening").beginning(6.0),
     )
-    assert [n.pitch for n in wanted.notes] == [n.pitch for n in written.notes]
+    assert [n.pitch for n in expected.notes] == [n.pitch for n in written.notes]
     main([*play, "--level", "2"])
     assert "arranged for both hands: " in capsys.readouterr().err
     easy = read_midi(tmp_path / "wanted.mid")
@@ -164,8 +164,8 @@ def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(tm
 
 def test_what_is_too_wide_for_two_hands_is_moved_by_octaves(trio, tmp_path, capsys):
     main(["play", str(trio), *QUICK, "-o", str(tmp_path)])
-    said = capsys.readouterr().err
-    assert "melody and bass whole, 100% of the other notes, 4 moved by octaves" in said
+    message = capsys.readouterr().err
+    assert "melody and bass whole, 100% of the other notes, 4 moved by octaves" in message
     assert len(read_midi(tmp_path / "wanted.mid").notes) == 12
 
 
@@ -174,9 +174,9 @@ def test_a_song_is_arranged_as_sheet_music(tmp_path, capsys):
     for path in (sheet, midi, pages):
         how = "--first-seconds", "8", "--level", "5", "-o", str(path)
         main(["arrange", "benchmark/band-1007", *how])
-        said = capsys.readouterr().out
-        assert f"{path}: " in said
-        assert " for both hands, grade " in said
+        output = capsys.readouterr().out
+        assert f"{path}: " in output
+        assert " for both hands, grade " in output
     read = load_song(sheet)
     assert {note.finger.hand for note in read.notes if note.finger} == {0, 1}
     assert sorted(n.pitch for n in read.notes) == sorted(n.pitch for n in load_song(midi).notes)
@@ -184,7 +184,7 @@ def test_a_song_is_arranged_as_sheet_music(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--level", "0"], "level 0: choose 1 to 10"),
         (["--level", "11"], "level 11: choose 1 to 10"),
@@ -192,20 +192,20 @@ def test_a_song_is_arranged_as_sheet_music(tmp_path, capsys):
         (["-o", "song.txt"], "song.txt: sheet music is a .musicxml, .pdf, .svg or .mid file"),
     ],
 )
-def test_what_cannot_be_arranged_is_told_in_a_line(options, said, capsys):
-    assert said in refused(capsys, "arrange", "benchmark/band-1007", *options)
+def test_what_cannot_be_arranged_is_told_in_a_line(options, message, capsys):
+    assert message in refused(capsys, "arrange", "benchmark/band-1007", *options)
 
 
 def test_without_hands_no_level_is_ignored(capsys):
-    said = refused(capsys, "play", "OdeToJoy", *QUICK, "--hands", "none", "--level", "2")
-    assert "without hands, nothing can be arranged" in said
+    message = refused(capsys, "play", "OdeToJoy", *QUICK, "--hands", "none", "--level", "2")
+    assert "without hands, nothing can be arranged" in message
 
 
 @pytest.mark.parametrize("option", [("--level", "3"), ("--arrange", "always")])
 def test_what_is_learnt_is_not_arranged(option, tmp_path, capsys):
     folder = tmp_path / "run"
-    said = refused(capsys, "train", "OdeToJoy", *option, "-o", folder)
-    assert "songs are learnt as written: write an arrangement with cadenza arrange" in said
+    message = refused(capsys, "train", "OdeToJoy", *option, "-o", folder)
+    assert "songs are learnt as written: write an arrangement with cadenza arrange" in message
     assert not folder.exists()
 
 
@@ -225,8 +225,8 @@ def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(trio, tmp_pat
     _, *arguments = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
     assert arguments[-3:] == ["--tracks", "1", "3"]
     main([*arguments, "--no-video", "-o", str(tmp_path)])
-    said = refused(capsys, *arguments[:-3], "-o", tmp_path)
-    assert "was planned with tracks [1, 3], but here it is []" in said
+    message = refused(capsys, *arguments[:-3], "-o", tmp_path)
+    assert "was planned with tracks [1, 3], but here it is []" in message
 
 
 def test_a_plan_with_expression_is_replayed_with_its_rules(tmp_path, capsys):
@@ -240,15 +240,15 @@ def test_a_plan_with_expression_is_replayed_with_its_rules(tmp_path, capsys):
     assert arrangement["rules"] == asdict(ExpressionRules(phrase_arch=3.0))
     scale = load_song("CMajorScaleOneHand")
     expected = performed(scale, 0.5, ExpressionRules(phrase_arch=3.0))
-    wanted = read_midi(tmp_path / "wanted.mid")
-    assert [note.velocity for note in wanted.notes] == [note.velocity for note in expected.notes]
-    said = refused(capsys, *arguments[:-2], "-o", tmp_path)
-    assert "was planned with rules" in said
+    target = read_midi(tmp_path / "wanted.mid")
+    assert [note.velocity for note in target.notes] == [note.velocity for note in expected.notes]
+    message = refused(capsys, *arguments[:-2], "-o", tmp_path)
+    assert "was planned with rules" in message
 
 
 def test_rules_without_expression_are_refused(capsys):
-    said = refused(capsys, "play", "OdeToJoy", "--rules.melody-lead", "2")
-    assert "rules change nothing without expression: give --expression 1, too" in said
+    message = refused(capsys, "play", "OdeToJoy", "--rules.melody-lead", "2")
+    assert "rules change nothing without expression: give --expression 1, too" in message
     assert "choose 0 to 10" in refused(
         capsys, "play", "OdeToJoy", "--expression", "1", "--rules.melody-lead", "11"
     )
@@ -256,8 +256,8 @@ def test_rules_without_expression_are_refused(capsys):
 
 def test_a_track_that_is_not_there(trio, capsys):
     assert "no track 4; the file has tracks 1 to 3" in refused(capsys, "info", trio, "--tracks", 4)
-    said = refused(capsys, "play", "OdeToJoy", "--tracks", 2)
-    assert "no track 2; the file has one track" in said
+    message = refused(capsys, "play", "OdeToJoy", "--tracks", 2)
+    assert "no track 2; the file has one track" in message
 
 
 def test_a_file_whose_name_is_no_text_is_played(trio, tmp_path):
@@ -288,8 +288,8 @@ def test_musicxml_is_played_as_well(tmp_path, capsys):
     ],
 )
 def test_songs_of_hours_are_refused(options, message, trio, tmp_path, capsys):
-    said = refused(capsys, "play", trio, "--tracks", 1, *QUICK, *options, "-o", tmp_path / "out")
-    assert message in said
+    line = refused(capsys, "play", trio, "--tracks", 1, *QUICK, *options, "-o", tmp_path / "out")
+    assert message in line
 
 
 def test_notes_too_fast_for_control_steps_are_told(tmp_path, capsys):
@@ -298,8 +298,10 @@ def test_notes_too_fast_for_control_steps_are_told(tmp_path, capsys):
     write_midi(Score(notes), song)
     command = ["play", str(song), "--agent", "zero", "--no-video", "-o", str(tmp_path / "out")]
     main(command)
-    said = capsys.readouterr().err
-    assert said.count(f"{song}: 3 notes repeat too fast for control steps of 0.05 s, and are") == 1
+    message = capsys.readouterr().err
+    assert (
+        message.count(f"{song}: 3 notes repeat too fast for control steps of 0.05 s, and are") == 1
+    )
     main([*command, "--control-timestep", "0.02"])
     assert "too fast" not in capsys.readouterr().err
 
@@ -310,9 +312,9 @@ def test_a_pedal_that_is_hardly_lifted_is_told(tmp_path, capsys):
     write_midi(Score((Note(0, 1, 60),), tuple(PedalEvent(*move) for move in moves)), song)
     options = ("--agent", "zero", "--no-video", "-q", "-o", str(tmp_path / "out"))
     main(["play", str(song), *options, "--repeats", "published"])
-    said = "1 change of the pedal within a control step of 0.05 s is left out"
-    assert said in capsys.readouterr().err
-    assert said in (tmp_path / "out" / "report.html").read_text()
+    message = "1 change of the pedal within a control step of 0.05 s is left out"
+    assert message in capsys.readouterr().err
+    assert message in (tmp_path / "out" / "report.html").read_text()
     main(["play", str(song), *options])
     assert "pedal" not in capsys.readouterr().err
     assert "pedal within" not in (tmp_path / "out" / "report.html").read_text()
@@ -327,13 +329,13 @@ def check_same(read: Score, made: Score) -> None:
 def test_an_etude_is_written_and_read_back(tmp_path, capsys):
     path = tmp_path / "new" / "etude.mid"
     main(["etude", "--kind", "arpeggios", "--difficulty", "3", "--seed", "7", "-o", str(path)])
-    wanted = make_etude("arpeggios", 3, 7)
-    said = capsys.readouterr().out
-    assert f"{path}: {wanted.title} (" in said
-    name = said.split("cadenza play ")[1].strip()
-    assert load_score(name).notes == wanted.notes
-    assert load_score(path).title == wanted.title
-    check_same(load_score(path), wanted)
+    expected = make_etude("arpeggios", 3, 7)
+    output = capsys.readouterr().out
+    assert f"{path}: {expected.title} (" in output
+    name = output.split("cadenza play ")[1].strip()
+    assert load_score(name).notes == expected.notes
+    assert load_score(path).title == expected.title
+    check_same(load_score(path), expected)
 
 
 def test_what_is_not_given_is_drawn_and_said(tmp_path, monkeypatch, capsys):
@@ -348,7 +350,7 @@ def test_what_is_not_given_is_drawn_and_said(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--kind", "waltz"], f"no etudes of kind 'waltz': choose from {', '.join(KINDS)}"),
         (["--difficulty", "11"], "difficulty 11: choose 1 to 10"),
@@ -356,5 +358,5 @@ def test_what_is_not_given_is_drawn_and_said(tmp_path, monkeypatch, capsys):
         (["-o", "etude.mp3"], "etude.mp3: an etude is a .mid file"),
     ],
 )
-def test_what_cannot_be_made_is_said_in_a_line(arguments, said, capsys):
-    assert said in refused_in_a_line(capsys, "etude", *arguments)
+def test_what_cannot_be_made_is_said_in_a_line(arguments, message, capsys):
+    assert message in refused_in_a_line(capsys, "etude", *arguments)

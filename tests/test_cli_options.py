@@ -21,16 +21,16 @@ RECORDED = Path(__file__).parent / "data" / "command_line.txt"
 
 def help_of(command: str) -> str:
     """What --help-all prints of its arguments without descriptions, sorted, each on a line."""
-    said = io.TextIOWrapper(io.BytesIO(), "utf-8")
+    output = io.TextIOWrapper(io.BytesIO(), "utf-8")
     with (
         mock.patch("tyro.cli", partial(tyro.cli, compact_help=True)),
         mock.patch.dict(os.environ, COLUMNS="1000"),
-        redirect_stdout(said),
+        redirect_stdout(output),
         suppress(SystemExit),
     ):
         main([*command.split(), "--help-all"])
-    said.seek(0)
-    boxes = (re.split("(?<=[│╮╯])(?=[│╭╰])", line) for line in said)  # side by side
+    output.seek(0)
+    boxes = (re.split("(?<=[│╮╯])(?=[│╭╰])", line) for line in output)  # side by side
     columns = zip_longest(*boxes, fillvalue="")
     text = "\n".join(cell.strip("│ \n") for column in columns for cell in column)
     text = text.replace("\n(default: ", " (default: ")  # of an option with a long name

@@ -176,10 +176,10 @@ def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune, tmp_path):
         assert time.monotonic() - waited < 120
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 130, said
-    assert f"cadenza train --resume {folder}" in said
-    assert "Traceback" not in said
+    _, output = process.communicate(timeout=120)
+    assert process.returncode == 130, output
+    assert f"cadenza train --resume {folder}" in output
+    assert "Traceback" not in output
     assert (folder / "checkpoint.safetensors").exists()
     assert (folder / "report.html").exists()
 
@@ -204,9 +204,9 @@ def test_a_run_that_is_stopped_at_once_can_go_on(when, tune, tmp_path, capsys, m
         with pytest.raises(SystemExit) as stop:
             main(["train", str(tune), "-o", str(folder), *SMALL, "--residual"])
     assert stop.value.code == 130
-    said = capsys.readouterr().err
-    assert f"to continue: cadenza train --resume {folder}" in said
-    assert "figures" not in said
+    message = capsys.readouterr().err
+    assert f"to continue: cadenza train --resume {folder}" in message
+    assert "figures" not in message
     assert RunFolder(folder).settings()[1][0].notes == load_score(str(tune)).notes
 
 

@@ -146,8 +146,8 @@ def test_agents_of_others_that_break(name, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main(["play", "CMajorScaleOneHand", "--agent", f"broken_{name}:A", "--no-video", "-q"])
     assert end.value.code == 1
-    (said,) = capsys.readouterr().err.splitlines()
-    assert said.startswith("cadenza: agent ")
+    (message,) = capsys.readouterr().err.splitlines()
+    assert message.startswith("cadenza: agent ")
 
 
 def test_an_agent_s_own_error_is_the_cause():
@@ -182,5 +182,5 @@ def test_a_name_of_two_lines_is_shown_in_one(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit):
         main(["play", "two\nlines", "--agent", "zero"])
-    (said,) = capsys.readouterr().err.splitlines()
-    assert said.startswith(r"cadenza: two\nlines: is no song; give a piece or a music file")
+    (message,) = capsys.readouterr().err.splitlines()
+    assert message.startswith(r"cadenza: two\nlines: is no song; give a piece or a music file")

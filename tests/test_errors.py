@@ -39,7 +39,7 @@ class WithoutRepr:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         ("Für Elise", "'Für Elise'"),
         ("one\ntwo\x1b[31m\u202e", r"'one\ntwo\x1b[31m\u202e'"),
@@ -49,8 +49,8 @@ class WithoutRepr:
         (WithoutRepr(), "a value of type WithoutRepr"),
     ],
 )
-def test_what_was_read_is_quoted_in_a_short_line(value, said):
-    assert quoted(value) == said
+def test_what_was_read_is_quoted_in_a_short_line(value, message):
+    assert quoted(value) == message
 
 
 def test_an_argument_of_any_length_is_told_in_a_short_line(capsys):

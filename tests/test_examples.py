@@ -22,7 +22,7 @@ DOWN = Score((Note(0.0, 0.25, 62), Note(0.25, 0.6, 60)), title="Down")
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """Runs an example in a folder with two short songs; returns the lines that it printed."""
+    """Run an example in a folder with two short songs; return the lines that it printed."""
     monkeypatch.chdir(tmp_path)
     for score in (UP, DOWN):
         write_midi(score, Path(f"{score.title}.mid"))
@@ -43,7 +43,7 @@ def test_every_example_is_run():
 
 @pytest.fixture
 def shown(tmp_path, monkeypatch):
-    """Runs the cells of a notebook as IPython does; returns what each of them displays."""
+    """Run the cells of a notebook as IPython does; return the display of each."""
     # Where only Stable-Baselines3 is tested, it is not there.
     from IPython.core.interactiveshell import InteractiveShell
     from traitlets.config import Config
@@ -107,9 +107,9 @@ def test_a_random_agent(run):
 
 
 def test_a_loop_of_robopianist(run):
-    said = run("from_robopianist", "Up.mid")
-    assert said[0] == "39 actions, the last is sustain"
-    metrics = [ast.literal_eval(line) for line in said[2:]]
+    lines = run("from_robopianist", "Up.mid")
+    assert lines[0] == "39 actions, the last is sustain"
+    metrics = [ast.literal_eval(line) for line in lines[2:]]
     assert len(metrics) == 2
     for each in metrics:
         assert each["length"] == 11
@@ -117,8 +117,8 @@ def test_a_loop_of_robopianist(run):
 
 
 def test_an_agent_of_ones_own(run):
-    said = dict(line.split(": F1 ") for line in run("own_agent", "Up.mid"))
-    assert float(said["planner"]) >= float(said["Trembling"]) > 0.5
+    scores = dict(line.split(": F1 ") for line in run("own_agent", "Up.mid"))
+    assert float(scores["planner"]) >= float(scores["Trembling"]) > 0.5
     assert Path("played/Trembling/report.html").exists()
     settings = json.loads(Path("played/Trembling/settings.json").read_text())
     assert settings["Trembling"] == {"noise": 0.02}
@@ -135,17 +135,17 @@ def test_a_reward_of_ones_own(run):
 
 def test_a_new_hand(run, monkeypatch):
     monkeypatch.syspath_prepend(EXAMPLES)  # as for a program that is started there
-    (said,) = run("claw", "Up.mid")
-    assert float(said.removeprefix("F1 ")) > 0.9
+    (line,) = run("claw", "Up.mid")
+    assert float(line.removeprefix("F1 ")) > 0.9
     settings = json.loads(Path("played/claw/settings.json").read_text())
     assert settings["scene"]["hand"] == "claw:CLAW"
 
 
 @pytest.mark.slow
 def test_training(run):
-    said = run("train", "Up.mid", "400")
+    lines = run("train", "Up.mid", "400")
     metrics = json.loads(Path("played/metrics.json").read_text())
-    assert said == [f"F1 {metrics['f1']:.3f}"]
+    assert lines == [f"F1 {metrics['f1']:.3f}"]
     rows = Path("run/metrics.jsonl").read_text().splitlines()
     steps = [json.loads(row)["step"] for row in rows]
     assert max(steps) >= 400
@@ -160,8 +160,8 @@ def test_training_with_stable_baselines3(run):
 
     torch.set_num_threads(1)  # more wait for each other where cores are busy
     # It learns from the 1000th step on, and the eight environments end an episode with the 1288th.
-    said = run("train_with_stable_baselines3", "--steps", "1288")
-    for line, name in zip(said, ("gym.make", "gym.make_vec"), strict=True):
+    lines = run("train_with_stable_baselines3", "--steps", "1288")
+    for line, name in zip(lines, ("gym.make", "gym.make_vec"), strict=True):
         assert line.startswith(f"{name}: 1288 steps")
         first, last = re.findall(r"\[(.*?)\]", line)
         assert len(first.split(", ")) == len(last.split(", ")) == 3
@@ -173,8 +173,8 @@ def test_training_with_brax(run):
     """On the CPU, where the simulation alone compiles for minutes."""
     pytest.importorskip("brax")
     pytest.importorskip("mujoco_warp")
-    said = run("train_with_brax", "Up.mid", "80", "4")
-    assert all(re.fullmatch(r"\d+ steps: return -?[\d.]+, F1 [\d.]+", line) for line in said)
+    lines = run("train_with_brax", "Up.mid", "80", "4")
+    assert all(re.fullmatch(r"\d+ steps: return -?[\d.]+, F1 [\d.]+", line) for line in lines)
 
 
 @pytest.mark.slow
@@ -185,9 +185,9 @@ def test_training_with_rsl_rl(run):
 
 
 def test_a_dataset(run):
-    said = run("make_dataset", "songs.npz", "Up.mid", "Down.mid")
+    lines = run("make_dataset", "songs.npz", "Up.mid", "Down.mid")
     data = np.load("songs.npz")
-    steps = [int(line.split()[1]) for line in said[:2]]
+    steps = [int(line.split()[1]) for line in lines[:2]]
     assert np.bincount(data["episode"]).tolist() == steps
     assert list(data["songs"]) == ["Up.mid", "Down.mid"]
     first = data["goal_keys"][data["episode"] == 1].argmax(axis=1).nonzero()[0][0]

@@ -369,9 +369,9 @@ def test_tensors_come_back_with_what_there_is_to_know(tmp_path):
     facts = {"song": "Für", "length": 2, "scores": {"f1": None}}
     write_tensors(path, arrays, facts)
     once = path.read_bytes()
-    read, told = read_tensors(path, expected, 2**20)
+    read, read_facts = read_tensors(path, expected, 2**20)
     np.testing.assert_array_equal(read["a"], arrays["a"])
-    assert told == facts
+    assert read_facts == facts
     write_tensors(path, arrays, facts)
     assert path.read_bytes() == once
     write_tensors(path, arrays)

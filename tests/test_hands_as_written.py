@@ -37,10 +37,10 @@ def set_up_with(song: Path | Score, all_notes: bool = False, **options) -> tuple
     hands = options.pop("hands", "both")
     arrangement = Arrangement(all_notes=all_notes, arrange="off")
     player = find_player().playing_in(TaskConfig(**options), SceneConfig(hands=hands))
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as messages:
         warnings.simplefilter("always")
         with set_up(song, player, arrangement=arrangement) as setup:
-            return setup, [str(each.message) for each in said]
+            return setup, [str(each.message) for each in messages]
 
 
 def played(setup: Setup) -> list[tuple[int, int]]:
@@ -49,12 +49,12 @@ def played(setup: Setup) -> list[tuple[int, int]]:
 
 
 def test_one_hand_plays_what_is_written_for_it(piano):
-    setup, said = set_up_with(piano, hands="right")
+    setup, messages = set_up_with(piano, hands="right")
     assert played(setup) == [(RIGHT, 40), (RIGHT, 76)]
-    assert any("2 notes are written for the right hand; without the other 1" in s for s in said)
-    setup, said = set_up_with(piano, hands="left")
+    assert any("2 notes are written for the right hand; without the other 1" in s for s in messages)
+    setup, messages = set_up_with(piano, hands="left")
     assert played(setup) == [(LEFT, 47)]
-    assert any("1 note is written for the left hand; without the other 2" in s for s in said)
+    assert any("1 note is written for the left hand; without the other 2" in s for s in messages)
 
 
 def test_without_hands_nothing_is_played_as_written(piano):
@@ -63,26 +63,26 @@ def test_without_hands_nothing_is_played_as_written(piano):
 
 
 def test_one_hand_plays_all_notes_on_demand_or_where_nothing_says_whose_they_are(piano):
-    setup, said = set_up_with(piano, hands="right", all_notes=True)
+    setup, messages = set_up_with(piano, hands="right", all_notes=True)
     assert played(setup) == [(RIGHT, 40), (RIGHT, 47), (RIGHT, 76)]
-    assert not said
+    assert not messages
     bare = Score(tuple(Note(n.start, n.end, n.pitch) for n in setup.score.notes))
     assert [pitch for _, pitch in played(set_up_with(bare, hands="left")[0])] == [40, 47, 76]
 
 
 def test_hands_play_as_written_on_demand(piano):
     assert [hand for hand, _ in played(set_up_with(piano)[0])] != [hand for hand, _ in CROSSED]
-    setup, said = set_up_with(piano, hands_as_written=True)
+    setup, messages = set_up_with(piano, hands_as_written=True)
     assert played(setup) == list(CROSSED)
-    assert not said
+    assert not messages
 
 
 def test_what_the_written_hand_cannot_play_is_told():
     together = ((40, RIGHT), (60, LEFT), (64, LEFT))  # the hands would cross
     song = Score(tuple(Note(0, 1, pitch, hands=(hand,)) for pitch, hand in together))
-    setup, said = set_up_with(song, hands_as_written=True)
+    setup, messages = set_up_with(song, hands_as_written=True)
     assert sorted(pitch for _, pitch in played(setup)) == [40, 60, 64]
-    assert said == [": 3 notes that the written hand cannot play are left to the other"]
+    assert messages == [": 3 notes that the written hand cannot play are left to the other"]
 
 
 def test_where_nothing_says_so_hands_cannot_play_as_written():

@@ -27,7 +27,7 @@ Follow = Callable[[str], None]
 
 @pytest.fixture
 def follow(tmp_path, monkeypatch):
-    """Writes the modules of a page, each of whose first block names its file, and installs them."""
+    """Write and install the modules of a page; the first line of each block names its file."""
     site = tmp_path / "site"
     written = set()
 

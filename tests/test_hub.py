@@ -28,7 +28,7 @@ TWO_NOTES = Score((Note(0.0, 0.5, 60), Note(0.5, 1.0, 64)))
 
 
 def ask(monkeypatch: pytest.MonkeyPatch, url: str) -> None:
-    """Puts another address in place of the hub's, here and in processes that are started."""
+    """Put another address in place of the hub's, here and in processes that are started."""
     monkeypatch.setenv("HF_ENDPOINT", url)
     template = url + constants.HUGGINGFACE_CO_URL_TEMPLATE.removeprefix(constants.ENDPOINT)
     monkeypatch.setattr(constants, "ENDPOINT", url)
@@ -60,9 +60,9 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 def test_a_policy_is_published_and_played(hub, tmp_path, capsys):
-    mine = tmp_path / "mine"
-    shutil.copytree(ODE, mine, ignore=shutil.ignore_patterns("README.md"))
-    (mine / "notes.txt").write_text("nobody else's business")
+    own = tmp_path / "mine"
+    shutil.copytree(ODE, own, ignore=shutil.ignore_patterns("README.md"))
+    (own / "notes.txt").write_text("nobody else's business")
     assert hub.url in printed(capsys, "publish", "mine", REPO)
     (kept,) = hub.commits["models", REPO].values()
     assert kept.keys() == {"README.md", "policy.safetensors"}

@@ -35,7 +35,7 @@ Install = Callable[..., Path]
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Puts a package with a module and entry points where Python finds it."""
+    """Put a package with a module and entry points where Python finds it."""
     installed = []
 
     def install(name: str, code: str, entry_points: str) -> Path:
@@ -67,7 +67,7 @@ def test_an_agent_of_another_package_plays(install, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("code", "entry", "said"),
+    ("code", "entry", "message"),
     [
         (
             "import nowhere",
@@ -88,11 +88,11 @@ def test_an_agent_of_another_package_plays(install, tmp_path, capsys):
         (AGENT, "stil = loud:Still", "no agent 'still': did you mean stil? choose from planner, "),
     ],
 )
-def test_a_broken_package_is_named_and_harms_nobody_else(code, entry, said, install):
+def test_a_broken_package_is_named_and_harms_nobody_else(code, entry, message, install):
     install("loud", code, f"[cadenza.agents]\n{entry}\n")
     with pytest.raises(CadenzaError) as error:
         cadenza.make_agent("still")
-    assert str(error.value).startswith(said)
+    assert str(error.value).startswith(message)
     cadenza.make_agent("zero")
     assert entry.split()[0] in AGENTS.entries()
 
@@ -207,9 +207,9 @@ def action_share(episode: cadenza.Episode) -> np.ndarray:
 def test_an_agent_of_another_package_has_options(agent, capsys):
     with pytest.raises(SystemExit):
         play("--agent", agent, "--help")
-    said = " ".join(capsys.readouterr().out.replace("│", "").split())
-    assert "Beats time." in said
-    assert "--slow-beat.tempo FLOAT Beats per minute. (default: 60.0)" in said
+    output = " ".join(capsys.readouterr().out.replace("│", "").split())
+    assert "Beats time." in output
+    assert "--slow-beat.tempo FLOAT Beats per minute. (default: 60.0)" in output
     options = ["--slow-beat.tempo", "90", "--slow-beat.hands", "left", "--slow-beat.loud"]
     play(f"--agent={agent}", *options)
     config = {"tempo": 90.0, "hands": ["left"], "most": None, "loud": True}
@@ -235,7 +235,7 @@ def test_options_of_another_package_in_python():
 
 @pytest.mark.usefixtures("beating")
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("slow-beat --slow-beat.tempo 0", "agent slow-beat: ValueError: tempo: more than 0 ("),
         ("beating:Seed", "agent beating:Seed: its options cannot be called --seed"),
@@ -244,12 +244,12 @@ def test_options_of_another_package_in_python():
         ("beating:Unknown", "agent beating:Unknown: NameError: name 'Nowhere' is not defined"),
     ],
 )
-def test_options_of_agents_that_make_no_sense(words, said, capsys):
+def test_options_of_agents_that_make_no_sense(words, message, capsys):
     with pytest.raises(SystemExit) as stop:
         play("--agent", *words.split())
     assert stop.value.code == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"cadenza: {said}")
+    assert line.startswith(f"cadenza: {message}")
     assert not Path("out").exists()
 
 
@@ -301,6 +301,9 @@ def test_songs_of_another_package(install, capsys):
     with pytest.raises(CadenzaError, match="no song named 'other/Tune'"):
         cadenza.load_song("other/Tune")
     main(["songs"])
-    said = capsys.readouterr()
-    assert [line.split("  ")[0] for line in said.out.splitlines()][-2:] == ["own/No. 2", "own/Tune"]
-    assert said.err == "song library lost: 'nowhere' is not a folder\n"
+    output = capsys.readouterr()
+    assert [line.split("  ")[0] for line in output.out.splitlines()][-2:] == [
+        "own/No. 2",
+        "own/Tune",
+    ]
+    assert output.err == "song library lost: 'nowhere' is not a folder\n"

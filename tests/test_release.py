@@ -59,13 +59,13 @@ def test_a_wheel_has_the_package_and_the_licences_only(wheel):
     problems = CHECK["problems_of_wheel"]
     assert list(problems(wheel)) == []
     for name in ("tests/test_a.py", "cadenza/__pycache__/a.pyc", "cadenza/tests/a.py"):
-        assert [said for said in problems(wheel | {name: SIZE}) if name in said], name
+        assert [message for message in problems(wheel | {name: SIZE}) if name in message], name
     assert list(problems(wheel | {"cadenza/music.npz": 3 * 2**20})) == [
         "cadenza/music.npz takes 3,145,728 bytes"
     ]
     for name in ("cadenza/py.typed", *(name for name in wheel if "LICENSE" in name)):
         less = {other: size for other, size in wheel.items() if other != name}
-        assert [said for said in problems(less) if said.endswith("is missing")], name
+        assert [message for message in problems(less) if message.endswith("is missing")], name
 
 
 def test_the_image_is_made_of_files_that_docker_is_shown():
@@ -225,8 +225,8 @@ def test_in_the_environment_of_a_clone_make_installs(monkeypatch, tmp_path):
 def test_make_installs_all_that_its_line_is_told_for():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     locked = (ROOT / "requirements-dev.lock").read_text().replace("-", "_").lower()
-    for extra, wanted in project["optional-dependencies"].items():
-        names = [name.split(">=")[0].replace("-", "_").lower() for name in wanted]
+    for extra, expected in project["optional-dependencies"].items():
+        names = [name.split(">=")[0].replace("-", "_").lower() for name in expected]
         there = all(f"\n{name}==" in locked for name in names)
         assert there == (extra not in ("brax", "gpu", "rsl-rl", "wandb")), extra
 

@@ -122,11 +122,11 @@ def test_the_record_of_an_episode(right_hand, tmp_path):
 
 
 def test_progress_counts_the_steps(right_hand):
-    told: list[tuple[str, int, int]] = []
+    reports: list[tuple[str, int, int]] = []
     play_episode(
-        PianoTask([TUNE], CONFIG, right_hand), ZeroAgent(), 0, lambda *step: told.append(step)
+        PianoTask([TUNE], CONFIG, right_hand), ZeroAgent(), 0, lambda *step: reports.append(step)
     )
-    assert told == [("playing", step, STEPS) for step in range(1, STEPS + 1)]
+    assert reports == [("playing", step, STEPS) for step in range(1, STEPS + 1)]
 
 
 def test_an_episode_that_ends_early_is_recorded_up_to_there():

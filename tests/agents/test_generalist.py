@@ -228,11 +228,11 @@ def test_inputs_say_when_and_how_loud_a_finger_is_to_strike():
     _, press = plan.nominal.presses
     side, own = divmod(press.finger, 5)
     hands = CorrectedHands(plan)
-    mine = hands.layout.striking[own]
+    ours = hands.layout.striking[own]
     _, first = plan.strikes.step
     now, later, time, speed, _ = np.transpose(
         [
-            hands.observe(step, state_on(plan, step, {}))[0][side, mine : mine + 5]
+            hands.observe(step, state_on(plan, step, {}))[0][side, ours : ours + 5]
             for step in range(first - 3, first + 3)
         ]
     )

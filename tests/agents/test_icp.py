@@ -147,15 +147,15 @@ def test_hands_are_those_of_the_search_and_what_no_finger_plays_is_told(players)
     fingers = {note.pitch: note.finger for note in nearest.score.notes}
     searched = {n.pitch: n.finger for n in track.with_found_fingers().fingered().score.notes}
     for side, notes in enumerate((five, bass)):
-        mine = [n for n in notes if (f := searched[n.pitch]) is not None and f.hand == side]
-        given = [fingers[note.pitch] for note in mine]
-        assert [f and f.index for f in given] == nearest_fingers(mine, side, players)
+        own = [n for n in notes if (f := searched[n.pitch]) is not None and f.hand == side]
+        given = [fingers[note.pitch] for note in own]
+        assert [f and f.index for f in given] == nearest_fingers(own, side, players)
         assert {f.hand for f in given if f is not None} == {side}
     silent = {pitch for pitch, finger in fingers.items() if finger is None}
     assert silent
-    told = {each.note.pitch: each.reason for each in nearest.dropped or ()}
-    assert told.keys() == silent
-    assert all(told.values())
+    reasons = {each.note.pitch: each.reason for each in nearest.dropped or ()}
+    assert reasons.keys() == silent
+    assert all(reasons.values())
 
 
 def test_the_performance_repeats_the_rehearsal():

@@ -55,18 +55,18 @@ def cost_of(states: State, i: int, scene: Scene, smooth: tuple[float, float] = (
     """The cost of a rollout of the chord; norms of keys and fingers are smooth over these radii."""
     cost, keyboard = 0.0, scene.keyboard
     for k in range(states.key_qpos.shape[1]):
-        wanted = np.zeros(88)
+        expected = np.zeros(88)
         distances = []
         for note in CHORD.notes:
             key = note.pitch - 21
-            wanted[key] = 1.0
+            expected[key] = 1.0
             point = states.key_xpos[i, k, key].copy()
             point[0] += 0.35 * keyboard.half_size[key, 0]
             point[2] += 0.5 * keyboard.half_size[key, 2]
             tip = states.fingertip_xpos[i, k, note.finger.index]
             distances.append(np.hypot(np.linalg.norm(tip - point), smooth[1]) - smooth[1])
         depth = np.clip(states.key_qpos[i, k] / keyboard.travel, 0, 1)
-        cost += np.hypot(np.linalg.norm(depth - wanted), smooth[0]) - smooth[0]
+        cost += np.hypot(np.linalg.norm(depth - expected), smooth[0]) - smooth[0]
         cost += sum(distances) / len(distances)
     return cost
 

@@ -111,21 +111,21 @@ def test_servos_respond_as_in_simulation_and_controls_undo_it(late: float) -> No
             simulation.step((start + controls)[None])
             moved.append((simulation.state.hand_qpos[0] @ servos.of_joints - start)[thumb])
         assert_allclose(moved, response.to(one)[:, thumb], atol=0.006)
-    wanted = response.to(one)
-    found = response.controls(np.zeros_like(one), wanted, 1e-6 * same)
-    assert_allclose(response.to(found), wanted, atol=1e-3)
+    expected = response.to(one)
+    found = response.controls(np.zeros_like(one), expected, 1e-6 * same)
+    assert_allclose(response.to(found), expected, atol=1e-3)
 
 
 def test_slow_servos_begin_earlier() -> None:
     servos = servos_of(build_scene(cadenza.SceneConfig(hands="right")))
     same = np.ones(len(servos.low))
     slow = ServoResponse(servos, DT, Response(0.0, same, 0.02 * same))
-    wanted = np.zeros((60, len(same)))
-    wanted[30:] = 0.2
-    controls = slow.controls(np.zeros_like(wanted), wanted, 0.01 * same)
+    expected = np.zeros((60, len(same)))
+    expected[30:] = 0.2
+    controls = slow.controls(np.zeros_like(expected), expected, 0.01 * same)
     assert abs(np.diff(controls, axis=0, prepend=0.0)).max() <= 0.02 + 1e-9
-    at_once = slow.limited(wanted)
-    error, late = (np.square(slow.to(each) - wanted).sum(axis=0) for each in (controls, at_once))
+    at_once = slow.limited(expected)
+    error, late = (np.square(slow.to(each) - expected).sum(axis=0) for each in (controls, at_once))
     assert (error < 0.5 * late).all()
 
 

@@ -44,7 +44,7 @@ def motions():
 
 
 class Kept(Stitched):
-    """Keeps what it has planned."""
+    """An agent that keeps its plans."""
 
     planned: PlanFollower
 

@@ -40,7 +40,7 @@ class Clock:
 
 
 class Thinker(PlannerPerEnv["Begun"]):
-    """Takes 10 s to begin, and 1 s for every action."""
+    """An agent that takes 10 s to begin, and 1 s for every action."""
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()

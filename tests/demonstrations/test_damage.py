@@ -51,7 +51,7 @@ def assert_refused(read: Callable[[Path], object], folder: Path, saying: str) ->
 
 @contextmanager
 def changed_result(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yields the content of result.json, to be changed, and its checksum with it."""
+    """Yield the content of result.json, to be changed along with its checksum."""
     path = first(folder) / RESULT
     result = json.loads(path.read_text())
     del result["seal"]
@@ -178,13 +178,13 @@ def test_a_pipe_is_not_waited_for(copied):
     ],
 )
 def test_a_result_that_cannot_be(copied, part, name, value):
-    with changed_result(copied) as told:
-        told[part][name] = value
+    with changed_result(copied) as facts:
+        facts[part][name] = value
     saying = f"{first(copied) / RESULT}: {name} .* cannot be.*delete its folder and collect again"
     assert_refused(open_dataset, copied, saying)
 
 
 def test_hands_that_began_with_other_joints(copied):
-    with changed_result(copied) as told:
-        told["start"].append(0.0)
+    with changed_result(copied) as facts:
+        facts["start"].append(0.0)
     assert_refused(replay, copied, f"{first(copied) / RESULT}: start is not that of")

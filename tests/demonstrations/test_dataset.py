@@ -32,16 +32,16 @@ def test_a_batch_is_what_a_plain_loop_reads(made):
             plan = episode.plan[min(t + later, last)]
             assert (batch.reference[i, j] == plan["reference"]).all()
         for j in range(lookahead + 1):
-            asked, wanted = batch.goal[i, j], batch.fingers[i, j]
+            asked, expected = batch.goal[i, j], batch.fingers[i, j]
             if t + j >= goals.num_steps:
                 assert not asked.any()
-                assert (wanted == -1).all()
+                assert (expected == -1).all()
                 continue
             assert (asked[:-1] == goals.keys[t + j]).all()
             assert asked[-1] == goals.sustain[t + j]
             keys = np.flatnonzero(goals.fingers[t + j] >= 0)
             assert {(int(goals.fingers[t + j, k]), int(k)) for k in keys} == {
-                (f, int(k)) for f, k in enumerate(wanted) if k >= 0
+                (f, int(k)) for f, k in enumerate(expected) if k >= 0
             }
 
 
@@ -68,11 +68,13 @@ def test_all_that_is_played_was_a_goal_or_is_an_error(made):
         dataset = Dataset([episode])
         batch = dataset.batch(np.arange(dataset.num_steps), lookahead=0)
         sounds = np.unpackbits(episode.steps["sounding"][1:], axis=1, count=88).astype(bool)
-        wanted = batch.goal[:, 0, :-1]
-        asked = wanted.any(axis=1)
-        share = [(s & w).sum() / w.sum() for s, w in zip(sounds[asked], wanted[asked], strict=True)]
-        ones = len(wanted) - asked.sum()  # nothing is missed where nothing is asked for
-        recall = (sum(share) + ones) / len(wanted)
+        expected = batch.goal[:, 0, :-1]
+        asked = expected.any(axis=1)
+        share = [
+            (s & w).sum() / w.sum() for s, w in zip(sounds[asked], expected[asked], strict=True)
+        ]
+        ones = len(expected) - asked.sum()  # nothing is missed where nothing is asked for
+        recall = (sum(share) + ones) / len(expected)
         assert recall == pytest.approx(episode.facts.metrics["recall"])
 
 

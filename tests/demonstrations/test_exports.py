@@ -40,7 +40,7 @@ OTHER = Score(tuple(Note(i / 3, (i + 1) / 3, 55 + 2 * i) for i in range(5)))
 
 
 class Watching(Playback):
-    """Keeps what it is shown."""
+    """An agent that keeps its observations."""
 
     def act(self, view: View) -> np.ndarray:
         seen.append(view.observation[0].copy())
@@ -97,10 +97,14 @@ def test_minari_loads_what_was_recorded(made, tmp_path, monkeypatch):
         np.testing.assert_array_equal(episode.actions, ours.played[1:])
         np.testing.assert_array_equal(episode.infos["chosen_action"][:-1], ours.chosen)
         assert episode.truncations.tolist() == [False] * (len(ours.chosen) - 1) + [True]
-        (told,) = loaded.storage.get_episode_metadata([number])
+        (metadata,) = loaded.storage.get_episode_metadata([number])
         about = dataset.episodes[number].facts
-        assert (told["seed"], told["f1"], told["song"]) == (about.job["seed"], about.f1, about.song)
-        assert about.drawn.items() <= told.items()
+        assert (metadata["seed"], metadata["f1"], metadata["song"]) == (
+            about.job["seed"],
+            about.f1,
+            about.song,
+        )
+        assert about.drawn.items() <= metadata.items()
     environment = loaded.recover_environment()
     assert environment.observation_space == loaded.observation_space
     assert environment.action_space == loaded.action_space
@@ -158,10 +162,10 @@ def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
     monkeypatch.setenv("MINARI_DATASETS_PATH", "minari")
     loaded = minari.load_dataset("cadenza/moved-v0")
     environment = loaded.recover_environment()
-    told = list(loaded.storage.get_episode_metadata(range(4)))
-    assert {each["song"] for each in told} == {"made-songs/song.mid", "made-songs/other.mid"}
-    assert {each["mirrored"] for each in told} == {False, True}
-    for episode, each in zip(loaded.iterate_episodes(), told, strict=True):
+    metadata = list(loaded.storage.get_episode_metadata(range(4)))
+    assert {each["song"] for each in metadata} == {"made-songs/song.mid", "made-songs/other.mid"}
+    assert {each["mirrored"] for each in metadata} == {False, True}
+    for episode, each in zip(loaded.iterate_episodes(), metadata, strict=True):
         shown = [environment.reset(seed=each["seed"], options=each["options"])[0]]
         steps = [environment.step(action) for action in episode.actions]
         shown += [observation for observation, *_ in steps]

@@ -25,7 +25,7 @@ class Aborts(Still):
 
 
 class IsToldToEnd(Still):
-    """Is told to end, as by a system that is short of memory."""
+    """An agent whose process is terminated, as by a system that is short of memory."""
 
     def at_step(self):
         os.kill(os.getpid(), signal.SIGTERM)

@@ -17,7 +17,7 @@ COMPOSERS = ("Beethoven", "Chopin", "Bach", "Mozart", "Debussy", "Petzold")
 def result(
     name: str, agent: str, seed: int, metrics: dict[str, Any], **song: Any
 ) -> dict[str, Any]:
-    """Returns the content of a result.json."""
+    """The content of a result.json."""
     job = {"song": name, "song_digest": "0" * 12, "agent": agent, "agent_digest": "", "seed": seed}
     job |= {"task": {"control_timestep": 0.05}, "scene": {"physics": "original"}}
     about = {"name": name, "title": name, "composer": "", "library": "made-up", "split": ""}
@@ -47,7 +47,7 @@ def write_bench(
     seeds: int = 3,
     libraries: int = 1,
 ) -> None:
-    """Writes a bench of some pieces, harder ones played worse; the first seed has a page."""
+    """Write a bench of some pieces, harder ones played worse; the first seed has a page."""
     rng = np.random.default_rng(0)
     for i in range(pieces):
         difficulty, seconds = float(rng.uniform(1, 10)), float(rng.uniform(15, 180))

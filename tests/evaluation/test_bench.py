@@ -24,7 +24,7 @@ from cadenza.tasks.config import TaskConfig
 
 
 class OneByOne:
-    """Carries out runs in this process; what becomes of each is told beforehand."""
+    """An executor of runs in this process, with given outcomes."""
 
     capacity = 1
 
@@ -67,10 +67,10 @@ def jobs(tmp_path):
 def carried_out(
     jobs: list[BenchJob], folder: Path, instead: Sequence[Ended | None] = (), retry: bool = False
 ) -> tuple[BenchState, list[str]]:
-    """Returns the state at the end, and which agents began."""
-    executor, told = OneByOne(instead), list[str]()
+    """The state at the end, and which agents began."""
+    executor, reports = OneByOne(instead), list[str]()
     state = bench(
-        jobs, folder, executor, lambda _, job: told.append(job.spec.name), lambda _: True, retry
+        jobs, folder, executor, lambda _, job: reports.append(job.spec.name), lambda _: True, retry
     )
     assert not state.left
     assert state.finished + len(state.failed) == len(jobs)
@@ -121,7 +121,7 @@ def test_what_failed_is_told_and_carried_out_again_on_demand(jobs, tmp_path):
 def after_a_result_that_was_not_good_enough(
     job: BenchJob, folder: Path, executor: OneByOne
 ) -> BenchState:
-    """Returns the state after a run is carried out again."""
+    """The state after a run is carried out again."""
     run = folder / "runs" / job.spec.name
     run.mkdir(parents=True)
     (run / RESULT).write_text("{}")

@@ -55,7 +55,7 @@ NESTED = 1300  # folders, or lists: deeper than Python calls functions
 
 
 def import_songs(pitches: dict[str, int]) -> None:
-    """Imports the library `mine`, of songs of three notes."""
+    """Import the library `mine`, of songs of three notes."""
     with new_library(MINE, replace=True) as library:
         for name, pitch in pitches.items():
             score = Score(tuple(Note(i / 10, (i + 1) / 10, pitch + i * LEAP) for i in range(3)))
@@ -95,8 +95,8 @@ def entry(made, tmp_path):
 
 
 def said_in(entry: Path) -> dict[str, Any]:
-    said: dict[str, Any] = json.loads((entry / ENTRY).read_text())
-    return said
+    content: dict[str, Any] = json.loads((entry / ENTRY).read_text())
+    return content
 
 
 def first_actions(entry: Path) -> Path:
@@ -234,9 +234,9 @@ def says(do: Callable[[dict[str, Any]], object]) -> Forge:
     """Changes what an entry says."""
 
     def forge(entry: Path) -> None:
-        said = said_in(entry)
-        do(said)
-        (entry / ENTRY).write_text(json.dumps(said))
+        content = said_in(entry)
+        do(content)
+        (entry / ENTRY).write_text(json.dumps(content))
 
     return forge
 
@@ -276,11 +276,11 @@ def piped(entry: Path) -> None:
 
 def easier_song(entry: Path) -> None:
     """Both songs are as long, so that only what is heard tells them apart."""
-    said = said_in(entry)
-    one, other = (next(r for r in said["runs"] if name in r["song"]) for name in PITCHES)
+    content = said_in(entry)
+    one, other = (next(r for r in content["runs"] if name in r["song"]) for name in PITCHES)
     shutil.copy(*(actions_path(entry, run["song"], run["seed"]) for run in (one, other)))
     other["metrics"] = one["metrics"]
-    (entry / ENTRY).write_text(json.dumps(said))
+    (entry / ENTRY).write_text(json.dumps(content))
 
 
 def another_engine(entry: Path) -> None:
@@ -364,8 +364,8 @@ def test_whatever_is_wrong_is_refused_or_changes_no_metric(entry, seed):
         path.write_bytes(mutations.tensor_bytes(arrays))
     with mutations.at_most_refused():
         played = verify(entry)
-        said = {(run["song"], run["seed"]): run["metrics"] for run in said_in(entry)["runs"]}
-        assert played.differences or played.metrics == said
+        facts = {(run["song"], run["seed"]): run["metrics"] for run in said_in(entry)["runs"]}
+        assert played.differences or played.metrics == facts
 
 
 # Entries of runs in another task
@@ -503,10 +503,10 @@ def test_names_of_files_do_nothing_to_a_terminal(entry, tmp_path, capsys, name):
     rows, _ = table_of(tmp_path / "out", renamed)
     with pytest.raises(SystemExit, match="1"):
         main(["verify", str(renamed)])
-    said = capsys.readouterr()
-    assert "does not belong to an entry" in said.out
-    assert all(line.isprintable() for line in (said.out + said.err).splitlines())
-    assert said.err.count("\n") == 1
+    output = capsys.readouterr()
+    assert "does not belong to an entry" in output.out
+    assert all(line.isprintable() for line in (output.out + output.err).splitlines())
+    assert output.err.count("\n") == 1
     assert all(cell.isprintable() for row in rows for cell in row.values())
 
 
@@ -533,10 +533,10 @@ def test_a_person_enters_and_verifies(bench, tmp_path, capsys):
     metric("f1", 1.0)(Path(entry))
     with pytest.raises(SystemExit, match="1"):
         main(["verify", entry])
-    said = capsys.readouterr()
-    assert said.out.startswith(f"{entry}: unverified, ")
-    assert said.err.startswith("unverified: ")
-    assert said.err.count("\n") == 1
+    output = capsys.readouterr()
+    assert output.out.startswith(f"{entry}: unverified, ")
+    assert output.err.startswith("unverified: ")
+    assert output.err.count("\n") == 1
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path, monkeypatch, capsys):
@@ -547,5 +547,5 @@ def test_a_folder_that_is_not_there_is_named(tmp_path, monkeypatch, capsys):
 
 def test_the_list_names_all_tracks_and_sets(capsys):
     main(["benchmark"])
-    said = capsys.readouterr().out
-    assert all(name in said for name in (*PUBLIC_SETS, "one-song", "at-sight", "planning"))
+    output = capsys.readouterr().out
+    assert all(name in output for name in (*PUBLIC_SETS, "one-song", "at-sight", "planning"))

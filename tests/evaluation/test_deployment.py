@@ -54,12 +54,12 @@ def test_its_songs_are_bundled_and_its_seeds_are_all_robots(tmp_path):
     assert set(names) <= frozen().songs.keys()
     metrics = dict.fromkeys(definition.METRICS, 0.5)
     runs = [{"song": SONG, "seed": 0, "song_digest": "", "metrics": metrics}]
-    told = {"benchmark": 1, "name": "n", "agent": "a", "options": {}, "fingering": "none"}
-    told |= {"versions": {}, "runs": runs, **ABOUT}
+    facts = {"benchmark": 1, "name": "n", "agent": "a", "options": {}, "fingering": "none"}
+    facts |= {"versions": {}, "runs": runs, **ABOUT}
     for change, message in (
         ({}, "they are the robots 0 to 9"),
         ({"track": "planning"}, "is a track and its songs"),
     ):
-        (tmp_path / ENTRY).write_text(json.dumps(told | change))
+        (tmp_path / ENTRY).write_text(json.dumps(facts | change))
         with pytest.raises(CadenzaError, match=message):
             read_entry(tmp_path)

@@ -14,7 +14,7 @@ RAGGED = np.array([[0.1, 0.5, NAN, 0.9], [0.3, NAN, 0.6, 1.0], [0.2, NAN, 0.7, 0
 
 
 def random_scores(seed: int, runs: int = 4, pieces: int = 7) -> np.ndarray:
-    """Returns scores with some runs missing, but one of every piece."""
+    """Scores with some runs missing, but one of every piece."""
     rng = np.random.default_rng(seed)
     scores = rng.random((runs, pieces))
     scores[1:][rng.random((runs - 1, pieces)) < 0.3] = NAN

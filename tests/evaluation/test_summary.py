@@ -238,7 +238,7 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"job": {"agent": "a"}}, "Expected `int`, got `null` - at `$.seed`"),
         ({"job": {"agent": ["a"], "seed": 0}}, "Expected `str`, got `array` - at `$.agent`"),
@@ -246,11 +246,11 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path, content):
         ({"metrics": {"f1": None}}, "its result holds no F1"),
     ],
 )
-def test_a_run_of_nobody_or_of_no_number_is_left_out(tmp_path, change, said):
+def test_a_run_of_nobody_or_of_no_number_is_left_out(tmp_path, change, message):
     write(tmp_path, TWO_AGENTS)
     write_result(tmp_path, "odd", result("c", "good", 0, {"f1": 0.5}) | change)
     (case,) = caveats(tmp_path)["1 run cannot be read, and is left out."]
-    assert said in case
+    assert message in case
     assert len(summary_of(tmp_path).runs) == len(TWO_AGENTS)
 
 

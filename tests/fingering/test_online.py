@@ -15,7 +15,7 @@ from watched import watched
 
 
 def show(sight: OnlineFingering, *notes: Note) -> list[int]:
-    """Shows notes with their ends; their numbers."""
+    """Show notes with their ends; return their numbers."""
     numbers = []
     for note in notes:
         numbers.append(sight.begin(note.pitch - PIANO.lowest_pitch, note.start))

@@ -54,8 +54,8 @@ def possible(way: dict[Stroke, Finger], players: Players) -> bool:
     ends = []
     for hand in range(2):
         if players.forearm(hand):
-            mine = {stroke: finger for stroke, finger in way.items() if finger.hand == hand}
-            place = in_one_hand(mine, hand, players)
+            own = {stroke: finger for stroke, finger in way.items() if finger.hand == hand}
+            place = in_one_hand(own, hand, players)
             if place is None:
                 return False
             ends.append(place[1])

@@ -50,8 +50,8 @@ def test_a_hand_that_does_not_slide_plays_what_is_before_it(spacing):
     everything = scale(*range(21, 109))
     played = {n.pitch: n.finger for n in find_fingering(everything, players)[0].notes}
     for hand, side in enumerate((1, -1)):
-        mine = [p for p, finger in played.items() if finger and finger.hand == hand]
-        away = [side * PIANO.grid_y[p - 21] - spacing / 2 for p in mine]
+        own = [p for p, finger in played.items() if finger and finger.hand == hand]
+        away = [side * PIANO.grid_y[p - 21] - spacing / 2 for p in own]
         assert -max(SHADOW.reach.outward) <= min(away) < -0.05
         assert 0.1 < max(away) <= max(SHADOW.reach.inward)
 

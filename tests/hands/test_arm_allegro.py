@@ -70,11 +70,11 @@ def test_the_arm_stretched_up_is_as_long_as_in_the_urdf(scene):
 
 def test_inertias_are_those_of_the_urdf(scene):
     """The tensors of link 2 (with ixz) and link 7 (with ixy), in the frames of the links."""
-    wanted = {
+    expected = {
         "arm2": [[0.02076, 0, -0.003626], [0, 0.02179, 0], [-0.003626, 0, 0.00779]],
         "forearm": [[0.01464, 0.0005912, 0], [0.0005912, 0.01465, 0], [0, 0, 0.002872]],
     }
-    for name, tensor in wanted.items():
+    for name, tensor in expected.items():
         body = scene.model.body(f"rh_{name}")
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, body.iquat)

@@ -37,7 +37,7 @@ def with_joint(joint: str, **changes: Any) -> Body:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"fingers": (THUMB,) * 9}, "has 9 fingers; give 1 to 8"),
         ({"reach": replace(SHADOW.reach, most=np.zeros(5))}, r"reach.most: .* \(5, 5\)"),
@@ -93,13 +93,13 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"body": replace(BODY, reduced_ranges={"x": (0, 1)})}, "reduced_ranges: .* joint 'x'"),
     ],
 )
-def test_parts_that_do_not_go_together(changes, said):
-    with pytest.raises(CadenzaError, match=f"^hand shadow: .*{said}"):
+def test_parts_that_do_not_go_together(changes, message):
+    with pytest.raises(CadenzaError, match=f"^hand shadow: .*{message}"):
         replace(SHADOW, **changes)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         (
             {"body": replace(BODY, links=tuple(replace(i, inertia=(1, 0, 0)) for i in BODY.links))},
@@ -110,10 +110,12 @@ def test_parts_that_do_not_go_together(changes, said):
         ({"fingers": with_thumb(name="ff")}, "repeated name 'rh_fftip'"),
     ],
 )
-def test_what_the_physics_engine_refuses(changes, said, monkeypatch):
+def test_what_the_physics_engine_refuses(changes, message, monkeypatch):
     hand = replace(SHADOW, **changes)
     monkeypatch.setattr("cadenza.scene.scene.hand_named", lambda _: hand)
-    with pytest.raises(CadenzaError, match=rf"^hand shadow, keyboard piano: MuJoCo [^\n]*{said}"):
+    with pytest.raises(
+        CadenzaError, match=rf"^hand shadow, keyboard piano: MuJoCo [^\n]*{message}"
+    ):
         build_scene(SceneConfig())
 
 

@@ -24,7 +24,7 @@ WHITE, BLACK, BASE = PIANO.white, PIANO.black, PIANO.base
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"lowest_pitch": 61, "num_keys": 20}, "lowest_pitch 61, is black; begin with a white one"),
         ({"num_keys": 0}, "has 0 keys from pitch 21 on"),
@@ -43,6 +43,6 @@ WHITE, BLACK, BASE = PIANO.white, PIANO.black, PIANO.base
         ({"base": replace(BASE, density=0.0)}, "base: .* > 0.*density"),
     ],
 )
-def test_impossible_keyboards_are_refused_in_a_line(changes, said):
-    with pytest.raises(CadenzaError, match=rf"^keyboard odd: [^\n]*{said}"):
+def test_impossible_keyboards_are_refused_in_a_line(changes, message):
+    with pytest.raises(CadenzaError, match=rf"^keyboard odd: [^\n]*{message}"):
         replace(PIANO, name="odd", **changes)

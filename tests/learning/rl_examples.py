@@ -29,14 +29,14 @@ melody = partial(melodies.melody, length=0.2)
 def train(
     config: TrainingConfig, run: RunFolder, songs: Sequence[Score], stops: Sequence[int] = ()
 ) -> None:
-    """Trains to the end, closed and opened again after these numbers of rounds."""
+    """Train to the end, closed and opened again after these numbers of rounds."""
     for rounds in (*stops, 10**9):
         with closing(Training(problem_of(config, songs), run)) as one:
             one.run(so_often(rounds))
 
 
 def reset(task: PianoTask, seed: int = 0) -> None:
-    """Begins an episode in every environment."""
+    """Begin an episode in every environment."""
     task.reset(np.random.default_rng(seed).spawn(task.num_envs), range(task.num_envs))
 
 

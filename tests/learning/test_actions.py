@@ -27,7 +27,7 @@ BUFFER = {"initial_buffer_time": 0.5}
 
 
 class Following(Agent):
-    """Plays the plan with the same correction at every step."""
+    """A policy with the same correction of the plan at every step."""
 
     def __init__(self, correction: float = 0.0) -> None:
         self.correction = correction

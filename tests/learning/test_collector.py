@@ -38,7 +38,7 @@ FIXED = TaskConfig(initial_buffer_time=0.1, sustain_term=True)
 
 
 class Watched(PianoTask):
-    """Writes down all that happens in it, as a learner with whole observations would keep it."""
+    """A task with a record of its transitions, as a learner with whole observations keeps it."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.log: list[tuple[Any, ...]] = []

@@ -39,10 +39,10 @@ def claim(number: int) -> tuple[subprocess.Popen[str], list[int], list[int]]:
 def test_no_two_runs_claim_the_same_core():
     cores = sorted(os.sched_getaffinity(0))
     runs = [claim(1) for _ in cores]
-    assert sorted(core for _, mine, _ in runs for core in mine) == cores
-    assert all(mine == kept_to for _, mine, kept_to in runs)
+    assert sorted(core for _, own, _ in runs for core in own) == cores
+    assert all(own == kept_to for _, own, kept_to in runs)
     more = [claim(2) for _ in range(2 * len(cores))]  # none is left: they share them evenly
-    assert not any(mine for _, mine, _ in more)
+    assert not any(own for _, own, _ in more)
     assert sorted(core for _, _, kept_to in more for core in kept_to) == sorted(cores * 2)
     for process, _, _ in [*runs, *more]:
         process.kill()
@@ -78,9 +78,9 @@ def test_where_others_could_write_nothing_is_claimed(how, tmp_path, capsys):
     with claimed_cores(1) as cores:
         assert cores == set()
         assert os.sched_getaffinity(0) == before
-    said = capsys.readouterr().err
-    assert said.startswith("parallel runs may share cores (")
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert message.startswith("parallel runs may share cores (")
+    assert message.count("\n") == 1
     assert (tmp_path / "dear").read_text() == "dear"
     assert not list((tmp_path / "elsewhere").glob("*"))
 
@@ -102,8 +102,8 @@ def test_a_folder_of_another_user_is_not_used(monkeypatch, capsys):
 
 
 def test_a_killed_run_gives_its_cores_back():
-    process, mine, _ = claim(10_000)
-    assert mine == sorted(os.sched_getaffinity(0))
+    process, own, _ = claim(10_000)
+    assert own == sorted(os.sched_getaffinity(0))
     process.kill()
     process.wait()
     before = os.sched_getaffinity(0)

@@ -96,7 +96,7 @@ def act(actor: Any, observation: np.ndarray, noise: np.ndarray) -> tuple[np.ndar
 
 
 class Adam:
-    """Minimises a function of a vector (Kingma & Ba 2015, algorithm 1)."""
+    """A minimiser of a function of a vector (Kingma & Ba 2015, algorithm 1)."""
 
     def __init__(self, start: Any, rate: float) -> None:
         self.like, self.x, self.rate = start, flat(start), rate
@@ -121,7 +121,7 @@ class Adam:
 
 
 class Reference:
-    """Begins where a `DroQState` is."""
+    """The reference, from a `DroQState` on."""
 
     def __init__(self, state: DroQState, config: DroQConfig, noise: np.ndarray) -> None:
         self.config, self.noise, self.updates = config, noise, 0
@@ -173,7 +173,7 @@ class Reference:
 
 @pytest.fixture
 def noise(monkeypatch):
-    """Gives learner and reference the same random numbers: how keys are split is free."""
+    """The same random numbers for learner and reference, however keys are split."""
     noise = np.random.default_rng(5).standard_normal((BATCH, ACTIONS)).astype(np.float32)
     monkeypatch.setattr(jax.random, "normal", lambda *_, **__: jnp.asarray(noise))
     return noise

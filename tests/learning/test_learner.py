@@ -202,8 +202,8 @@ def test_a_learner_need_not_be_installed(package, tune, tmp_path, capsys):
     )
     for command in again:
         del sys.modules["regression"]  # as in another process
-        said = refused(capsys, *command)
-        assert "no file makes Cadenza import a module; give --learner regression:Lin" in said
+        message = refused(capsys, *command)
+        assert "no file makes Cadenza import a module; give --learner regression:Lin" in message
         assert "regression" not in sys.modules
         main([str(word) for word in (*command, *name)])
     assert page.exists()

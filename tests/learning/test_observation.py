@@ -30,7 +30,7 @@ TASKS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 
 
 class Acting:
-    """Takes random actions, and has several observers look at what happens."""
+    """Random actions, before several observers."""
 
     def __init__(self, task: PianoTask, scores: GoalTable, seed: int = 0) -> None:
         self.task, self.scores = task, scores

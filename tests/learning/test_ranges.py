@@ -30,7 +30,7 @@ def slides(task: PianoTask) -> list[int]:
 
 
 def above(task: PianoTask, forearm: float, finger: int, pitch: int) -> float:
-    """Returns how far right of a key a finger of the right hand at rest is [m], by MuJoCo."""
+    """The distance of a finger of the right hand at rest to the right of a key [m], by MuJoCo."""
     model, servos = task.scene.model, servos_of(task.scene)
     data = mujoco.MjData(model)
     data.qpos[task.scene.hand_qpos] = np.array([use.rest for use in servos.uses]) @ servos.joints

@@ -21,7 +21,7 @@ Floats = np.ndarray
 
 
 class PlainObserver:
-    """Shows all that it is given: row, rest, previous action and reward (0 at first)."""
+    """An observer of all its arguments: row, rest, previous action and reward (0 at first)."""
 
     proprioception_size = REST
 
@@ -103,7 +103,7 @@ class Playing:
             self.envs[env].observe(int(self.row[env]), shown, bool(self.row[env] == 0))
 
     def step(self) -> None:
-        """Adds frames as a collector does: at the end of an episode its last, then a first."""
+        """Add frames as a collector does: at the end of an episode its last, then a first."""
         rng = self.rng
         action = rng.standard_normal((self.num_envs, ACTIONS)).astype(np.float32)
         reward = rng.standard_normal(self.num_envs).astype(np.float32)
@@ -129,7 +129,7 @@ class Playing:
 
 
 def as_tuples(batch: Batch) -> list[tuple[Any, ...]]:
-    """Returns the transitions of a batch (B, ...)."""
+    """The transitions of a batch (B, ...)."""
     parts = zip(*(part.tolist() for part in batch), strict=True)
     return [(tuple(o), tuple(a), r, d, tuple(after)) for o, a, r, d, after in parts]
 

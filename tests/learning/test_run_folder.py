@@ -143,9 +143,9 @@ def test_lines_that_are_no_rows_are_left_out(run, line, capsys):
     (run.path / "metrics.jsonl").write_bytes(good + line + b"\n" + bytes(9) + good + b"half")
     row = {"step": 1, "seconds": 0.5, "eval/f1": None}
     assert run.metrics.rows() == [row, row]
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "skipped lines that are not rows of metrics: 1\n" in said
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "skipped lines that are not rows of metrics: 1\n" in message
 
 
 # Links

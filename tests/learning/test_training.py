@@ -84,7 +84,7 @@ def evaluations(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def figures(run: RunFolder) -> list[dict[str, Any]]:
-    """Returns the rows between evaluations."""
+    """The rows between evaluations."""
     rows = [row for row in run.metrics.rows() if "eval_step" not in row]
     return [{name: v for name, v in row.items() if name != "seconds"} for row in rows]
 
@@ -257,7 +257,7 @@ class Killed(BaseException):
 
 @contextmanager
 def killed_after(calls: int) -> Iterator[list[str]]:
-    """Has every change of the disk but the first ones fail, also those that clean up.
+    """Let all changes of the disk but the first ones fail, also those that clean up.
 
     Yields the names of the calls.
     """

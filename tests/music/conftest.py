@@ -18,5 +18,5 @@ def saved(tmp_path):
 
 @pytest.fixture
 def read(saved):
-    """Reads a MusicXML file of one part, of its bars."""
+    """Read a MusicXML file of one part, given its bars."""
     return lambda *bars: load_score(saved(document(bars)))

@@ -212,10 +212,11 @@ def test_times_must_be_finite():
 
 
 @pytest.mark.parametrize(
-    ("times", "said"), [([2.0], "bar 2"), ([0.0, 3.9], "bars 1-2"), ([5, 0.5, 4.5], "bars 1, 3")]
+    ("times", "expected"),
+    [([2.0], "bar 2"), ([0.0, 3.9], "bars 1-2"), ([5, 0.5, 4.5], "bars 1, 3")],
 )
-def test_places_are_said_as_musicians_do(times, said):
-    assert describe_times(THREE, times) == said
+def test_places_are_said_as_musicians_do(times, expected):
+    assert describe_times(THREE, times) == expected
 
 
 def test_without_bars_places_are_said_in_seconds():

@@ -41,14 +41,14 @@ def test_seeds_make_others_and_names_name_them():
 
 def test_drills_are_the_same_on_every_machine():
     """Results name them by their seeds only."""
-    wanted = [
+    expected = [
         [64, 69, 72],
         [60, 67, 63, 67, 58, 67],
         [60, 65, 69, 55, 59, 64, 62, 67, 71],
         [55, 58, 62, 67, 53, 58, 62, 65, 55, 58, 62, 65],
     ]
     pitches = [[note.pitch for note in make_etude(kind, 3, 0).notes] for kind in DRILLS]
-    assert pitches == wanted
+    assert pitches == expected
 
 
 def test_other_kinds_are_refused():

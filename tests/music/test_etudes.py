@@ -125,7 +125,7 @@ def test_the_hardest_etudes_are_in_all_keys():
 
 
 @pytest.mark.parametrize(
-    ("kind", "difficulty", "seed", "said"),
+    ("kind", "difficulty", "seed", "message"),
     [
         ("waltz", 3, 0, "no etudes of kind 'waltz': choose from scales, arpeggios"),
         ("scales", 0, 0, "difficulty 0: choose 1 to 10"),
@@ -133,8 +133,8 @@ def test_the_hardest_etudes_are_in_all_keys():
         ("scales", 3, -1, "seed -1: choose 0 or more"),
     ],
 )
-def test_what_cannot_be_made_is_said(kind, difficulty, seed, said):
-    with pytest.raises(CadenzaError, match=said):
+def test_what_cannot_be_made_is_said(kind, difficulty, seed, message):
+    with pytest.raises(CadenzaError, match=message):
         make_etude(kind, difficulty, seed)
 
 

@@ -141,12 +141,12 @@ def test_note_f1_is_that_of_mir_eval(seed, jitter):
         if rng.random() < 0.9
     ]
     metrics = expressive_metrics(Score(tuple(played)), Score(tuple(written)))
-    wanted, sounded = arrays(written), arrays(played)
+    expected, sounded = arrays(written), arrays(played)
     *_, onset_f1, _ = mir_eval.transcription.precision_recall_f1_overlap(
-        *wanted[:2], *sounded[:2], offset_ratio=None
+        *expected[:2], *sounded[:2], offset_ratio=None
     )
     *_, velocity_f1, _ = mir_eval.transcription_velocity.precision_recall_f1_overlap(
-        *wanted, *sounded, offset_ratio=None
+        *expected, *sounded, offset_ratio=None
     )
     assert metrics["note_onset_f1"] == pytest.approx(onset_f1)
     assert metrics["note_onset_velocity_f1"] == pytest.approx(velocity_f1)

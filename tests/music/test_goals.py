@@ -54,9 +54,9 @@ def goals_by_loop(score: Score, dt: float):
                 struck.add(note.pitch - 21)
             if first <= t - 1 < last:
                 before.add(note.pitch - 21)
-        wanted = sounding - (struck & before)
-        keys.append([k in wanted for k in range(88)])
-        fingers.append([of[k] if k in wanted else -1 for k in range(88)])
+        expected = sounding - (struck & before)
+        keys.append([k in expected for k in range(88)])
+        fingers.append([of[k] if k in expected else -1 for k in range(88)])
         for event in score.pedal:
             if int(event.time * fps) == t:
                 pedal = event.value >= 64

@@ -94,9 +94,9 @@ def test_what_cannot_be_read_is_left_out_and_said(folder, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["import", "midi", str(folder), "--name", "mine"])
     assert stop.value.code == 1
-    said = capsys.readouterr()
-    assert said.out.startswith("6 songs; ")
-    *lines, last = said.err.splitlines()
+    output = capsys.readouterr()
+    assert output.out.startswith("6 songs; ")
+    *lines, last = output.err.splitlines()
     assert [line.split(":")[0].removeprefix(f"{folder}/") for line in lines] == [
         "a/one.fingering, line 1",
         "bad.mid",
@@ -192,13 +192,13 @@ def test_a_thousand_songs_are_listed_at_once(data, capsys):
 
 
 def test_progress_is_told_and_difficulty_kept(folder):
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
 
     def tell(done: int, total: int) -> None:
-        told.append((done, total))
+        reports.append((done, total))
 
     import_folder(folder, "mine", progress=tell, grade=lambda score: len(score.notes) / 3)
-    assert told == [(done, 7) for done in range(7)]
+    assert reports == [(done, 7) for done in range(7)]
     grades = {song.title: song.difficulty for song in open_library("mine").songs}
     assert (grades["Ode to Joy"], grades["First"]) == (13.0, 0.67)
 
@@ -212,6 +212,6 @@ def test_folders_within_each_other_are_read_however_many_there_are(tmp_path):
 
 def test_a_line_for_each_file_whatever_it_is_called(folder, capsys):
     (folder / "a\nb\x1b[31m.mid").write_bytes(b"nothing")
-    said = refused(capsys, "import", "midi", folder, "--name", "mine")
-    assert "a\\nb\\x1b[31m.mid: not a MIDI file" in said
-    assert "\x1b" not in said
+    message = refused(capsys, "import", "midi", folder, "--name", "mine")
+    assert "a\\nb\\x1b[31m.mid: not a MIDI file" in message
+    assert "\x1b" not in message

@@ -152,11 +152,11 @@ def test_a_dataset_that_is_not_there_says_how_to_get_it(name):
 
 def test_the_list_of_libraries(capsys):
     main(["libraries"])
-    said = capsys.readouterr()
-    rows = {line.split()[0]: line.split()[1:3] for line in said.out.splitlines()}
+    output = capsys.readouterr()
+    rows = {line.split()[0]: line.split()[1:3] for line in output.out.splitlines()}
     assert rows["bundled"] == ["24", "songs"]
     assert rows["etude-12"] == ["not", "there"]
-    assert said.err.count("\n") == 1
+    assert output.err.count("\n") == 1
 
 
 def test_songs_are_listed_and_sorted(folder, capsys):

@@ -32,7 +32,7 @@ def off(pitch, time=0, channel=0):
 
 @pytest.fixture
 def saved(tmp_path):
-    """Saves tracks of messages, 10 ticks a quarter of 0.5 s, and gives the path."""
+    """Save tracks of messages, 10 ticks a quarter of 0.5 s; return the path."""
 
     def save(*tracks, type=1, ticks_per_beat=10):
         file = mido.MidiFile(type=type, ticks_per_beat=ticks_per_beat)

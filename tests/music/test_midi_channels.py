@@ -13,7 +13,7 @@ def control(number, value, time=0, channel=0):
 
 
 def parameter(number, value, channel=0):
-    """Sets a registered parameter and chooses none again, as files do."""
+    """Set a registered parameter and choose none again, as files do."""
     chosen = [control(101, 0, 0, channel), control(100, number, 0, channel)]
     none = [control(101, 127, 0, channel), control(100, 127, 0, channel)]
     return [*chosen, control(6, value, 0, channel), *none]

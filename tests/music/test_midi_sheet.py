@@ -38,8 +38,8 @@ def test_a_song_keeps_its_metre_its_keys_and_its_tempos(tmp_path):
     tempos = signs(tmp_path / "song.mid", "set_tempo")
     assert [(at, each["tempo"]) for at, each in tempos] == [(0.0, 500_000), (2.0, 600_000)]
     metres = signs(tmp_path / "song.mid", "time_signature")
-    said = [(at, each["numerator"], each["denominator"]) for at, each in metres]
-    assert said == [(0.0, 1, 4), (0.5, 3, 4)]
+    signatures = [(at, each["numerator"], each["denominator"]) for at, each in metres]
+    assert signatures == [(0.0, 1, 4), (0.5, 3, 4)]
     keys = signs(tmp_path / "song.mid", "key_signature")
     assert [(at, each["key"]) for at, each in keys] == [(0.0, "Eb"), (2.0, "D")]
     again = read_midi(tmp_path / "song.mid")
@@ -47,8 +47,8 @@ def test_a_song_keeps_its_metre_its_keys_and_its_tempos(tmp_path):
 
 
 def test_words_of_tempo_are_on_the_sheet_and_play_nothing(tmp_path):
-    said = {"Andante con moto": 0.0, "poco rit.": 1.0, "a tempo": 2.0}
-    words = (((time, text),) for text, time in said.items())
+    marks = {"Andante con moto": 0.0, "poco rit.": 1.0, "a tempo": 2.0}
+    words = (((time, text),) for text, time in marks.items())
     bars = (replace(bar, words=each) for bar, each in zip(BARS, words, strict=True))
     song = replace(SONG, bars=tuple(bars))
     write_midi_sheet(song, tmp_path / "song.mid")
@@ -61,7 +61,7 @@ def test_words_of_tempo_are_on_the_sheet_and_play_nothing(tmp_path):
     for name in ("song.mid", "song.musicxml"):
         again = read_score(tmp_path / name)
         words = {text: time for bar in again.bars for time, text in bar.words}
-        assert words == pytest.approx(said, abs=1e-3)
+        assert words == pytest.approx(marks, abs=1e-3)
         assert [n.start for n in again.notes] == pytest.approx([n.start for n in NOTES], abs=0.02)
 
 

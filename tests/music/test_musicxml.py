@@ -33,17 +33,18 @@ from numbered import numbers
 
 
 @pytest.mark.parametrize(
-    "said",
+    "credit",
     [
         "<identification><creator type='composer'>Clara</creator></identification>",
         "<credit><credit-type>composer</credit-type><credit-words>Clara</credit-words></credit>",
     ],
 )
-def test_a_file_says_who_wrote_its_music(saved, said):
+def test_a_file_says_who_wrote_its_music(saved, credit):
     text = document([FOUR_QUARTERS + note("C4", 4)])
     assert load_score(saved(text)).composer == ""
     assert (
-        load_score(saved(text.replace("<part-list>", said + "<part-list>", 1))).composer == "Clara"
+        load_score(saved(text.replace("<part-list>", credit + "<part-list>", 1))).composer
+        == "Clara"
     )
 
 

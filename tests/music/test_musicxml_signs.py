@@ -224,8 +224,8 @@ def test_a_note_may_be_as_long_as_another_was(mark, seconds, read):
     equal = direction(f"<metronome>{mark}</metronome>") + note("D4", 16)
     score = read(TEMPO + note("C4", 16), equal)
     assert score.total_time - 4 == pytest.approx(seconds)
-    told = equal.replace("</direction>", '<sound tempo="30"/></direction>', 1)
-    score = read(TEMPO + note("C4", 16), told)
+    marked = equal.replace("</direction>", '<sound tempo="30"/></direction>', 1)
+    score = read(TEMPO + note("C4", 16), marked)
     assert score.total_time - 4 == 8
 
 
@@ -249,8 +249,8 @@ def test_words_have_their_usual_tempo_in_a_file_without_any(read, words, quarter
     mark = direction(f"<words>{words}</words>")
     score = read(FOUR_QUARTERS + mark + note("C4", 16))
     assert score.total_time == pytest.approx(4 * 60 / quarters_a_minute)
-    told = ("1 tempo word played as usual, as the file gives no tempo",)
-    assert score.remarks == (told if quarters_a_minute in (92, 94, 118) else ())
+    remarks = ("1 tempo word played as usual, as the file gives no tempo",)
+    assert score.remarks == (remarks if quarters_a_minute in (92, 94, 118) else ())
     given = read(FOUR_QUARTERS + mark + note("C4", 16), tempo(60) + note("C4", 4))
     assert given.total_time == pytest.approx(2 / (1.15 if "Più" in words else 1) + 1)
     assert given.remarks == ()
@@ -321,11 +321,11 @@ def test_the_sostenuto_pedal_holds_what_sounds_when_it_goes_down(read):
     sign, stop = direction('<pedal type="sostenuto"/>'), direction('<pedal type="stop"/>')
     sustain, lifted = sign.replace("sostenuto", "start"), stop.replace("/", ' number="2"/', 1)
     second = sign.replace("/", ' number="2"/', 1)
-    told = direction("<words>sost. ped.</words>").replace(
+    lift = direction("<words>sost. ped.</words>").replace(
         "</direction>", '<sound sostenuto-pedal="{}"/></direction>'
     )
     notes = note("C4", 4), note("D4", 4), note("E4", 8)
-    for down, up in ((sign, stop), (told.format("yes"), told.format("no"))):
+    for down, up in ((sign, stop), (lift.format("yes"), lift.format("no"))):
         music = [TEMPO + down + notes[0] + notes[1] + up + notes[2]]
         score = read(*music)
         assert played(score) == [(0, 2, 60), (1, 2, 62), (2, 4, 64)]
@@ -378,8 +378,8 @@ def test_a_percussion_clef_means_drums(saved):
 def test_parts_of_drums_are_left_out(saved):
     text = document([FOUR_QUARTERS + note("C4", 16)], [FOUR_QUARTERS + note("C3", 16)])
     name = "<part-name>Part 2</part-name>"
-    for said in ("<midi-channel>10</midi-channel>", "<midi-unpitched>37</midi-unpitched>"):
-        drums = f'<midi-instrument id="P2-I1">{said}</midi-instrument>'
+    for sign in ("<midi-channel>10</midi-channel>", "<midi-unpitched>37</midi-unpitched>"):
+        drums = f'<midi-instrument id="P2-I1">{sign}</midi-instrument>'
         score = load_score(saved(text.replace(name, name + drums)))
         assert (pitches(score), len(score.tracks)) == ([60], 1)
         assert score.remarks == ("1 note of drums left out",)

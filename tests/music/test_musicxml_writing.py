@@ -75,7 +75,7 @@ def values(root, staff=1):
 
 
 def check_measures(root):
-    """Checks that voices fill their measures, and that values are as long as they look."""
+    """Check that voices fill their measures, and that values are as long as they look."""
     divisions = int(root.findtext(".//divisions"))
     length = None
     for measure in root.iter("measure"):
@@ -506,13 +506,13 @@ def test_notes_without_fingers_go_to_the_staff_of_the_hand_that_they_are_written
 def test_what_is_quantised_says_so(tmp_path):
     exact = Score(tuple(line([60, 62, 64, 65], 0.5)), bars=bars(1))
     uneven = replace(exact, notes=tuple(replace(n, start=n.start + 0.02) for n in exact.notes))
-    for score, said in (
+    for score, expected in (
         (exact, []),
         (uneven, ["quantised: notes are moved to the nearest note values"]),
     ):
-        assert list(write_musicxml(score, tmp_path / "song.musicxml")) == said
+        assert list(write_musicxml(score, tmp_path / "song.musicxml")) == expected
         root = ElementTree.parse(tmp_path / "song.musicxml").getroot()
-        assert [field.text for field in root.iter("miscellaneous-field")] == said
+        assert [field.text for field in root.iter("miscellaneous-field")] == expected
 
 
 def test_the_clef_changes_where_a_hand_stays_high(tmp_path):

@@ -132,7 +132,7 @@ def test_other_ways_to_write_the_same(content):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("64\t80\t0\t1", "64\t80\t0", "7 columns; expected eight"),
         ("0.000000\t0.5", "nan\t0.5", "onset [s] 'nan'; expected a number"),
@@ -155,11 +155,11 @@ def test_other_ways_to_write_the_same(content):
         ("80\t0\t1\n", "80\t0\t\u0661\n", "finger '\u0661'; expected"),
     ],
 )
-def test_a_wrong_line_is_named(old, new, said):
+def test_a_wrong_line_is_named(old, new, message):
     assert old in ONE
     with pytest.raises(CadenzaError) as caught:
         read_fingered(ONE.replace(old, new, 1).encode(), "001-1_fingering.txt")
-    assert str(caught.value).startswith(f"001-1_fingering.txt:2: {said}")
+    assert str(caught.value).startswith(f"001-1_fingering.txt:2: {message}")
 
 
 def test_a_file_without_notes_is_refused():
@@ -281,11 +281,11 @@ def test_damaged_files_are_left_out_and_said_to_be(dataset, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["import", "pig", str(dataset)])
     assert stop.value.code == 1
-    said = capsys.readouterr()
-    assert said.out == (
+    output = capsys.readouterr()
+    assert output.out == (
         "1 song; to list them: cadenza songs repertoire-150\n0 of them are in etude-12\n"
     )
-    *lines, last = said.err.replace(f"{dataset}/", "").splitlines()
+    *lines, last = output.err.replace(f"{dataset}/", "").splitlines()
     assert sorted(line.split("; expected")[0] for line in lines) == [
         "FingeringFiles/002-1_fingering.txt:3: pitch 'Ehh3'",
         "FingeringFiles/009-1_fingering.txt: there is no such piece in List.csv",

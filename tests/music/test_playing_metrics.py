@@ -172,12 +172,12 @@ def by_mir_eval(played, goal):
         return table[:, :2], table[:, 2]
 
     (times, pitches), sounded = notes(goal), notes(played)
-    wanted = np.round(times, 9), pitches  # as scores have them
-    expected = mir_eval.transcription.evaluate(*wanted, *sounded)
+    target = np.round(times, 9), pitches  # as scores have them
+    expected = mir_eval.transcription.evaluate(*target, *sounded)
     pairs = mir_eval.transcription.match_notes(
-        *wanted, *sounded, onset_tolerance=0.2, offset_ratio=None
+        *target, *sounded, onset_tolerance=0.2, offset_ratio=None
     )
-    errors = [abs(wanted[0][i, 0] - sounded[0][j, 0]) for i, j in pairs]
+    errors = [abs(target[0][i, 0] - sounded[0][j, 0]) for i, j in pairs]
     return {
         "note_onset_f1": expected["F-measure_no_offset"],
         "note_onset_offset_f1": expected["F-measure"],

@@ -64,9 +64,9 @@ def test_advice_is_among_the_notices():
     assert played.advice is not None
     assert played.settings["notices"] == [f"{played.advice}."]
     assert played.advice.option == "--level 10"
-    told = re.match(r"(\d+) of 24 notes in time \(within 50 ms\), (\d+) missed, ", played.verdict)
-    assert told
-    assert int(told[1]) + int(told[2]) == 24
+    counts = re.match(r"(\d+) of 24 notes in time \(within 50 ms\), (\d+) missed, ", played.verdict)
+    assert counts
+    assert int(counts[1]) + int(counts[2]) == 24
 
 
 WRITTEN = Score(tuple(Note(at, at + 0.4, pitch, 70) for at, pitch in enumerate(range(60, 70))))

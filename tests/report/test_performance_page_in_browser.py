@@ -549,8 +549,8 @@ def recorded_scale(apart: float = 0.0) -> Episode:
     scene = build_scene(SceneConfig(reduced_action_space=True))
     recorded = np.load(DATA / "episode_d.npz", allow_pickle=False)
     steps = len(recorded["action"])
-    wanted = ("action", "hand_qpos", "key_qpos", "key_activation", "sustain_activation")
-    arrays = {name: recorded[name] for name in (*wanted, "reward_total")}
+    expected = ("action", "hand_qpos", "key_qpos", "key_activation", "sustain_activation")
+    arrays = {name: recorded[name] for name in (*expected, "reward_total")}
     arrays |= {"goal_keys": recorded["key_activation"], "goal_sustain": np.zeros(steps, bool)}
     arrays["hand_qpos"][:, scene.slide_joints] += apart, -apart
     return Episode("scale", 0.05, arrays, drawing(scene))

@@ -21,7 +21,7 @@ SIZES = ((1440, 900), (1280, 720), (390, 844))
 
 
 def written(bench: Path, folder: Path | None = None) -> Path:
-    """Gives index.html."""
+    """The text of index.html."""
     folder = folder or bench / "results"
     summary = summarize(read_results(bench), bench.name)
     write_page(folder / "index.html", summary_page(summary, folder, ["runs.csv"]))

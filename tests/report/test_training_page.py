@@ -303,8 +303,8 @@ def test_labels_do_not_overlap_on_any_screen(written, browser, tmp_path):
         assert browser.colliding_labels() == []
         assert browser.problems() == []
         for labels in browser.labels():
-            told = [label for label in labels if label != "0"]
-            assert len(set(told)) == len(told) > 2
+            texts = [label for label in labels if label != "0"]
+            assert len(set(texts)) == len(texts) > 2
 
 
 @pytest.mark.slow

@@ -69,8 +69,8 @@ def test_points_on_links_move_as_in_mujoco(config):
         of_joints = np.zeros((3, model.nv))
         mujoco.mj_jac(model, data, of_joints, None, at[i], model.body(body).id)
         expected = direction[i] @ of_joints[:, scene.hand_qvel] @ servos.joints.T
-        mine = scene.servos_on(scene.sides[side])
-        np.testing.assert_allclose(found, expected[mine], atol=1e-12)
+        ours = scene.servos_on(scene.sides[side])
+        np.testing.assert_allclose(found, expected[ours], atol=1e-12)
 
 
 def test_links_are_where_their_bodies_are():

@@ -158,9 +158,9 @@ def test_hand_collisions(collide):
     colliding = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
     pairs = np.stack([model.geom_contype, model.geom_conaffinity], axis=1)
     ours = pairs[of_hands & colliding]
-    wanted = figures["default" if collide else "hand_geoms_contype_conaffinity"]
+    expected = figures["default" if collide else "hand_geoms_contype_conaffinity"]
     assert len(ours) == 2 * figures["colliding_geoms_per_hand"]
-    assert (ours == wanted).all()
+    assert (ours == expected).all()
     assert (pairs[~of_hands] == figures["piano_geoms"]).all()
 
 

@@ -109,8 +109,8 @@ def test_joints_that_are_set_have_no_past(scene):
     )
     for simulation in (used, fresh):
         simulation.set_joints(*place)
-        for name, wanted in zip(("hand_qpos", "hand_qvel", "key_qpos"), place, strict=True):
-            assert_array_equal(getattr(simulation.state, name)[0], wanted)
+        for name, expected in zip(("hand_qpos", "hand_qvel", "key_qpos"), place, strict=True):
+            assert_array_equal(getattr(simulation.state, name)[0], expected)
         for ctrl in controls(scene, 1):
             simulation.step(ctrl)
     assert_same(used.state, fresh.state)

@@ -94,27 +94,27 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(monkeypatch):
 
 @pytest.mark.slow
 def test_what_was_practised_is_played(tmp_path, monkeypatch):
-    song, told = tmp_path / "three.mid", list[WireMessage]()
+    song, messages = tmp_path / "three.mid", list[WireMessage]()
     write_midi(SCORE, song)
     monkeypatch.setattr(practice_process, "ENOUGH", 0.2)
-    practice_process.practise(order(str(song), tmp_path), told.append)
-    said = [json.loads(message.content) for message in told if message.kind == JSON]
-    assert said[-1]["state"] == "done"
+    practice_process.practise(order(str(song), tmp_path), messages.append)
+    content = [json.loads(message.content) for message in messages if message.kind == JSON]
+    assert content[-1]["state"] == "done"
     played, _ = player.play(order(str(song), tmp_path), lambda _: None, lambda: None)
     assert played.settings["agent"] == "playback"
-    assert played.metrics["f1"] == pytest.approx(max(said[-1]["f1"]))
+    assert played.metrics["f1"] == pytest.approx(max(content[-1]["f1"]))
     with player.set_up_order(order(str(song), tmp_path), lambda *_: None) as setup:
-        assert perform(setup).metrics["f1"] == pytest.approx(said[-1]["f1"][0])  # at first sight
+        assert perform(setup).metrics["f1"] == pytest.approx(content[-1]["f1"][0])  # at first sight
 
 
 def test_practice_that_cannot_go_on_begins_anew(tmp_path, monkeypatch):
-    song, told = tmp_path / "three.mid", list[WireMessage]()
+    song, messages = tmp_path / "three.mid", list[WireMessage]()
     write_midi(SCORE, song)
     folder = player.practice_folder_of(order(str(song), tmp_path))
     folder.mkdir(parents=True)
     (folder / "practice.safetensors").write_bytes(b"damaged")
     monkeypatch.setattr(practice_process, "ENOUGH", 0.0)
-    practice_process.practise(order(str(song), tmp_path), told.append)
+    practice_process.practise(order(str(song), tmp_path), messages.append)
     assert (folder / "practice.safetensors.old").read_bytes() == b"damaged"
 
 

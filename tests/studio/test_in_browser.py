@@ -64,7 +64,7 @@ def browser(tmp_path_factory):
 
 
 def wait(browser: Browser, condition: str) -> None:
-    """Waits for long: players share the machine with whatever else it does."""
+    """Wait for long: players share the machine with other processes."""
     browser.wait(condition, 150)
 
 
@@ -117,7 +117,7 @@ SCORES = "f1", "precision", "recall", "onsets"
 
 
 def uncaught(browser: Browser) -> list[str]:
-    """Returns problems in the console, but for answers of the server, which browsers list."""
+    """The problems in the console, but for answers of the server, which browsers list."""
     return [each for each in browser.problems() if '"source": "network"' not in each]
 
 
@@ -278,8 +278,8 @@ def test_what_is_chosen_behind_more_is_played(browser, address, folder, tmp_path
     settings = json.loads((folder / id / "settings.json").read_text())
     assert (settings["scene"]["hand"], settings["seed"]) == ("allegro", 5)
     assert settings["task"]["stretch"] == pytest.approx(1 / 1.5)
-    wanted = load_episode(folder / id / "episode.npz")["goal_keys"].any(axis=0)
-    assert list(np.flatnonzero(wanted) + 21) == [66]
+    expected = load_episode(folder / id / "episode.npz")["goal_keys"].any(axis=0)
+    assert list(np.flatnonzero(expected) + 21) == [66]
     wait(browser, "!!document.querySelector('#kept li:first-child a[download=\"two.mid\"]')")
     links = browser.evaluate("""(async () => {
         const links = [...document.querySelectorAll("#kept li:first-child a")];
@@ -678,9 +678,9 @@ def test_a_song_is_played_with_expression_and_without_signs(browser, address, fo
     settings = json.loads((folder / id / "settings.json").read_text())
     assert settings["arrangement"]["expression"] == 1
     assert settings["arrangement"]["plain"]
-    wanted = load_song("MaryHadALittleLamb", Arrangement(expression=1.0)).notes
+    expected = load_song("MaryHadALittleLamb", Arrangement(expression=1.0)).notes
     midi = read_score(folder / id / "wanted.mid").notes
-    assert [note.velocity for note in midi] == [note.velocity for note in wanted]
+    assert [note.velocity for note in midi] == [note.velocity for note in expected]
     wait(
         browser,
         "document.querySelector('#kept li:first-child')?.innerText.includes('with expression')",

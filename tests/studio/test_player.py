@@ -35,13 +35,13 @@ def player() -> Iterator[tuple[Say, Hear]]:
     with Popen(command, stdin=PIPE, stdout=PIPE) as worker:
         assert worker.stdin is not None
         assert worker.stdout is not None
-        orders, told = worker.stdin, worker.stdout
+        orders, answers = worker.stdin, worker.stdout
 
         def say(line: bytes) -> None:
             orders.write(line + b"\n")
             orders.flush()
 
-        yield say, lambda: message(told)
+        yield say, lambda: message(answers)
         orders.close()
         assert worker.wait(60) == 0
 
@@ -55,13 +55,13 @@ def test_a_song_is_put_down_while_it_is_planned(tmp_path):
     """The same process then waits for another."""
     with player() as (say, hear):
         say(ode_to_joy(tmp_path))
-        told = [hear()]
-        while b"postures" not in told[-1][1]:
-            told.append(hear())
+        messages = [hear()]
+        while b"postures" not in messages[-1][1]:
+            messages.append(hear())
         say(b"")
-        while told[-1][0] != IDLE:
-            told.append(hear())
-        assert not any(b"failed" in content for kind, content in told if kind == JSON)
+        while messages[-1][0] != IDLE:
+            messages.append(hear())
+        assert not any(b"failed" in content for kind, content in messages if kind == JSON)
 
 
 def test_what_is_not_played_is_told(tmp_path):
@@ -71,10 +71,10 @@ def test_what_is_not_played_is_told(tmp_path):
     order = Order(request, "Trill", source, True, "0" * 16, str(tmp_path / "out"))
     with player() as (say, hear):
         say(json.dumps(asdict(order)).encode())
-        told = [hear()]
-        while b"kept" not in told[-1][1]:
-            told.append(hear())
-    (played,) = [json.loads(c) for kind, c in told if kind == JSON and b'"played"' in c]
+        messages = [hear()]
+        while b"kept" not in messages[-1][1]:
+            messages.append(hear())
+    (played,) = [json.loads(c) for kind, c in messages if kind == JSON and b'"played"' in c]
     (remark,) = played["remarks"]
     assert remark.startswith("4 notes repeat too fast for control steps of 0.05 s")
 

@@ -117,8 +117,8 @@ def test_others_cannot_watch(client):
             client.websocket_connect(f"ws://127.0.0.1:8000{path}", headers=headers),
         ):
             pass
-    with client.websocket_connect("ws://127.0.0.1:8000/TOKEN/watch/x", headers=SAME) as told:
-        assert told.receive_json() == {"state": "gone"}
+    with client.websocket_connect("ws://127.0.0.1:8000/TOKEN/watch/x", headers=SAME) as socket:
+        assert socket.receive_json() == {"state": "gone"}
 
 
 def test_a_tone_is_made_for_who_asks(client):
@@ -167,42 +167,42 @@ def test_a_file_of_another_format_gets_the_answer_of_the_command_line(client, tm
 
 
 def test_what_is_kept_is_told_again(client, tmp_path):
-    id, wanted = "0123456789abcdef", PlayRequest("OdeToJoy")
+    id, request = "0123456789abcdef", PlayRequest("OdeToJoy")
     folder, rows = tmp_path / "studio" / id, bytes(range(256)) * 4000  # more than is sent at once
     folder.mkdir()
-    write_json(folder / "studio.json", asdict(KeptPerformance("Ode", wanted, "Well.", 8.0, 1.0)))
+    write_json(folder / "studio.json", asdict(KeptPerformance("Ode", request, "Well.", 8.0, 1.0)))
     (folder / HEADER_FILE).write_bytes(b'{"steps": 3}')
     (folder / ROWS_FILE).write_bytes(rows)
     (kept,) = client.get("/TOKEN/api/performances").json()
     assert kept["has_states"]
-    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as told:
-        said = told.receive_json()
-        assert (said["title"], said["request"]["song"]) == ("Ode", "OdeToJoy")
-        assert told.receive_json()["state"] == "kept"
-        assert told.receive_json() == {"steps": 3}
+    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as socket:
+        message = socket.receive_json()
+        assert (message["title"], message["request"]["song"]) == ("Ode", "OdeToJoy")
+        assert socket.receive_json()["state"] == "kept"
+        assert socket.receive_json() == {"steps": 3}
         heard = b""
         while len(heard) < len(rows):
-            heard += told.receive_bytes()
+            heard += socket.receive_bytes()
         assert heard == rows
         with pytest.raises(WebSocketDisconnect):
-            told.receive_bytes()
+            socket.receive_bytes()
     for spoil in (
         lambda: (folder / HEADER_FILE).write_bytes(b"\xff{"),
         (folder / ROWS_FILE).unlink,
     ):
         spoil()
         url = f"ws://127.0.0.1:8000/TOKEN/watch/{id}"
-        with client.websocket_connect(url, headers=SAME) as told:
-            assert told.receive_json() == {"state": "gone"}
+        with client.websocket_connect(url, headers=SAME) as socket:
+            assert socket.receive_json() == {"state": "gone"}
 
 
 def test_no_link_leads_out_of_what_is_kept(client, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("secret")
-    studio, wanted = tmp_path / "studio", PlayRequest("OdeToJoy")
+    studio, request = tmp_path / "studio", PlayRequest("OdeToJoy")
     own, linked = studio / "0123456789abcdef", studio / "fedcba9876543210"
     own.mkdir()
-    write_json(own / "studio.json", asdict(KeptPerformance("Ode", wanted, "Well.", 8.0, 1.0)))
+    write_json(own / "studio.json", asdict(KeptPerformance("Ode", request, "Well.", 8.0, 1.0)))
     for name in "report.html", HEADER_FILE, ROWS_FILE:
         (own / name).symlink_to(secret)
     linked.symlink_to(own)
@@ -210,8 +210,8 @@ def test_no_link_leads_out_of_what_is_kept(client, tmp_path):
         answer = client.get(f"/TOKEN/performances/{folder.name}/report.html")
         assert (answer.status_code, "secret" in answer.text) == (400, False)
         url = f"ws://127.0.0.1:8000/TOKEN/watch/{folder.name}"
-        with client.websocket_connect(url, headers=SAME) as told:
-            assert told.receive_json() == {"state": "gone"}
+        with client.websocket_connect(url, headers=SAME) as socket:
+            assert socket.receive_json() == {"state": "gone"}
     (listed,) = client.get("/TOKEN/api/performances").json()
     assert (listed["files"], listed["has_states"]) == ([], False)
 
@@ -230,7 +230,7 @@ WEIRD = {  # contents of a JSON file
 
 
 def weird(path: Path, kind: str) -> None:
-    """Puts something there that is not what it should be, an hour ago and more."""
+    """Put something of the wrong kind there, an hour ago and more."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if kind == "loop":
         path.symlink_to(path)
@@ -293,7 +293,7 @@ def test_a_file_that_is_deleted_before_it_is_sent_is_not_there(client, tmp_path,
 
 
 def address_of(folder: Path, known: Path | None = None) -> str:
-    """Returns the address of a studio that stops as soon as it prints it."""
+    """The address of a studio that stops as soon as it prints it."""
     heard = list[str]()
 
     def stop(address: str) -> None:
@@ -372,8 +372,8 @@ os.rename({told!r} + ".new", {told!r})
 )
 def test_the_token_is_in_no_list_of_processes(tmp_path, end):
     """A browser is opened by a file that only the user can read, and that is there for a while."""
-    told, browser = tmp_path / "told", tmp_path / "browser"
-    browser.write_text(BROWSER.format(python=sys.executable, told=str(told)))
+    record, browser = tmp_path / "told", tmp_path / "browser"
+    browser.write_text(BROWSER.format(python=sys.executable, told=str(record)))
     browser.chmod(0o700)
     command = [sys.executable, "-m", "cadenza", "studio", "--folder", str(tmp_path / "studio")]
     environment = os.environ | {"DISPLAY": ":0", "BROWSER": f"{browser} %s"}
@@ -381,11 +381,11 @@ def test_the_token_is_in_no_list_of_processes(tmp_path, end):
         assert server.stdout is not None
         address = server.stdout.readline().split()[-1]
         late = time.monotonic() + 20
-        while not told.exists() and time.monotonic() < late:
+        while not record.exists() and time.monotonic() < late:
             time.sleep(0.05)
         urlopen(address).close()  # it serves
         server.send_signal(end)
-    arguments, page, mode, within, *content = told.read_text().splitlines()
+    arguments, page, mode, within, *content = record.read_text().splitlines()
     assert urlsplit(address).path.strip("/") not in arguments
     assert (mode, within) == ("0o600", "0o700")
     assert f"url={address}" in "".join(content)
@@ -411,7 +411,7 @@ with suppress(KeyboardInterrupt):
 
 
 def frame(opcode: int, content: bytes, length: int | None = None, begin: int = 0x80) -> bytes:
-    """Returns a frame of a WebSocket, masked by zeros, with 64 bits for its length."""
+    """A frame of a WebSocket, masked by zeros, with 64 bits for its length."""
     size = len(content) if length is None else length
     return struct.pack("!BBQI", begin | opcode, 0xFF, size, 0) + content
 
@@ -515,9 +515,9 @@ def test_only_so_many_songs_wait(client):
     assert "wait already" in answers[-1].json()["error"]
     id = answers[0].json()["id"]
     assert client.delete(f"/TOKEN/api/jobs/{id}", headers=SAME).status_code == 204
-    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as told:
-        assert told.receive_json()["title"] == "Ode to Joy"
-        assert told.receive_json() == {"state": "cancelled"}
+    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as socket:
+        assert socket.receive_json()["title"] == "Ode to Joy"
+        assert socket.receive_json() == {"state": "cancelled"}
     assert ask(song="OdeToJoy").status_code == 201
     assert ask(song="../x").json()["error"].startswith("there is no such song")
     assert client.post("/TOKEN/api/jobs", content=b"{", headers=SAME).status_code == 400
@@ -554,7 +554,7 @@ Queue = Callable[[Start, Callable[[jobs.JobQueue], Awaitable[None]]], None]
 
 @pytest.fixture
 def queue(tmp_path, monkeypatch):
-    """Does something with a queue whose players are started by a function."""
+    """Use a queue whose players are started by a function."""
 
     def run_queue(start: Start, do: Callable[[jobs.JobQueue], Awaitable[None]]) -> None:
         async def run() -> None:
@@ -584,16 +584,16 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(queue):
 
 def test_a_song_plays_on_where_no_spare_player_can_start(queue):
     """The spare one is started when the song has been played, and its files are being written."""
-    told = io.BytesIO()
-    json_message(state="played", verdict="").write(told)
-    json_message(state="kept", performance="x").write(told)
+    stream = io.BytesIO()
+    json_message(state="played", verdict="").write(stream)
+    json_message(state="kept", performance="x").write(stream)
     begun = []
 
     async def once(*_: str) -> Any:
         if begun:
             raise BlockingIOError(errno.EAGAIN, "no room for another process")
         begun.append(1)
-        told_now = f"sys.stdout.buffer.write({told.getvalue()!r})"
+        told_now = f"sys.stdout.buffer.write({stream.getvalue()!r})"
         return await player(f"import sys; sys.stdin.readline(); {told_now}")
 
     async def run(queue: jobs.JobQueue) -> None:

@@ -267,8 +267,8 @@ def test_the_first_unstable_simulation_is_told_and_all_are_counted(caplog):
         counts.append((int(infos["unstable_count"]), int(infos["overflow_count"])))
     jax.effects_barrier()
     assert counts == [(2, 1), (4, 2), (6, 3)]
-    (told,) = caplog.messages
-    assert told.startswith("simulations became unstable: 2 in this step, 1 of them without room")
+    (message,) = caplog.messages
+    assert message.startswith("simulations became unstable: 2 in this step, 1 of them without room")
     envs.reset(seed=0)
     *_, infos = envs.step(np.zeros((3, 39), np.float32))
     assert infos["unstable_count"] == 2

@@ -29,7 +29,7 @@ class Ended(NamedTuple):
 
 
 class ProcessExecutor:
-    """Runs `capacity` processes at once, each with `num_threads` threads for its planner."""
+    """An executor of `capacity` processes at once, each with `num_threads` planner threads."""
 
     def __init__(self, num_threads: int, num_jobs: int | None, carry_out: CarryOut) -> None:
         """Start `num_jobs` processes at once, or as many as cores allow."""

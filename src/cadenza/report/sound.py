@@ -172,7 +172,7 @@ def write_sound(path: Path, audio: Samples, seconds: float = 0.0) -> None:
 
 
 class _LoudnessMeter:
-    """Measures the integrated loudness by ITU-R BS.1770-4, with FFmpeg's filter ebur128."""
+    """A meter of integrated loudness by ITU-R BS.1770-4, with FFmpeg's filter ebur128."""
 
     def __init__(self) -> None:
         self.integrated = -70.0

@@ -37,7 +37,7 @@ class Linearisation(NamedTuple):
 
 
 class Lineariser:
-    """Linearises a scene along a trajectory.
+    """The linearisation of a scene along trajectories.
 
     A control is held through a control step of some physics steps. Each physics step is
     differentiated by `mujoco.mjd_transitionFD`, on a pool of threads with an `MjData` for each, and

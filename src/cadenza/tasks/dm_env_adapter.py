@@ -69,7 +69,7 @@ def load(
 
 
 class DmEnvAdapter(dm_env.Environment):
-    """Wraps a `PianoEnv`, or what `gymnasium.make` makes of it.
+    """A wrapper of a `PianoEnv`, or of what `gymnasium.make` makes of it.
 
     Observations are dictionaries of the parts of `observation_layout`.
 

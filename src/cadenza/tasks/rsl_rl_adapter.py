@@ -18,7 +18,7 @@ _METRIC = "metrics/"  # before the names of metrics in infos of the CPU
 
 
 class RslRlPiano(VecEnv):
-    """Wraps what `gymnasium.make_vec` makes of "cadenza/Piano-v0", with `AutoresetMode.SAME_STEP`.
+    """A wrapper of "cadenza/Piano-v0" of `gymnasium.make_vec`, with `AutoresetMode.SAME_STEP`.
 
     With `engine="warp"` nothing leaves the device. Observations have the group "policy", and with
     `privileged=True` also "privileged", for critics. Actions are clipped to [-1, 1]. Episodes begin
