@@ -19,7 +19,7 @@ from cadenza.music.score import Note, Score, chords
 # [s] in which a key comes up before it is struck again, so that a repetition is heard as one; at
 # most a share of the note.
 _LIFT, _LIFT_SHARE = 0.08, 0.3
-_SOFTER = 0.85  # of the velocity of the harmony, so that the melody is heard above it
+_SOFTER = 0.85  # factor of velocities of the harmony: the melody is heard above it
 # Costs of a note of the harmony; the smallest one that makes a song easy enough is used.
 _COSTS = 0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 3.0
 

@@ -12,9 +12,9 @@ from cadenza.arranging.parts import TOGETHER, SourceNote
 from cadenza.music.notation.beats import estimated_bars
 from cadenza.music.score import MIDI_PITCHES, Score, chords
 
-MIN_LENGTH = 0.05  # of a note that ends early [s]
+MIN_LENGTH = 0.05  # length of a note that ends early, at least [s]
 _USUAL_BEAT = 0.5  # [s] where a song has a single one
-_PARTS = 2  # of a beat, at which notes may be struck even if none is written there
+_PARTS = 2  # parts of a beat at which notes may be struck without being written there
 _APART = 0.1  # [s] from such a moment to others
 _MIN_REST = 0.15  # [s] that a note of an earlier beat must go on for to be worth striking
 

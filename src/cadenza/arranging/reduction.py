@@ -50,7 +50,7 @@ _BUSY_COST = 0.6  # cost of each further note that a hand strikes at once `_BUSY
 
 
 _EASY = 0.85  # share of the reach used in chords: at its end, inner fingers press badly
-_TWO_NOTES = 2  # for which all of it is used
+_TWO_NOTES = 2  # a chord of two notes may use the whole reach
 
 
 class OneHand:

@@ -20,8 +20,8 @@ from cadenza.learning.learner import Preset
 if TYPE_CHECKING:
     from cadenza.evaluation.jobs import BenchJob, Contender
 
-_MAX_SEEDS = 10_000  # of one range, so that a typo ends at once
-_MAX_RUNS = 20_000  # which take days
+_MAX_SEEDS = 10_000  # seeds of one range: a typo ends at once
+_MAX_RUNS = 20_000  # runs that take days
 _SUFFIXES = {"": None, "-residual": True, "-from-nothing": False}
 
 

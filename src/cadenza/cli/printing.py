@@ -24,9 +24,9 @@ QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 
 SECONDS_BETWEEN_LINES_OF_TRAINING = 30.0
 """Minimum time between lines of progress in a log of training, which takes minutes to hours [s]."""
-_SECONDS_BETWEEN_LINES = 10.0  # of other work
+_SECONDS_BETWEEN_LINES = 10.0  # for other work
 
-_UNITS = {  # of stages that do not count steps
+_UNITS = {  # units of stages that do not count steps
     "fingers": "notes",
     "motions": "motions",
     "postures": "iterations",

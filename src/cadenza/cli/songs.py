@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cadenza.music.libraries.songs import Library, Song
 
 Sort = Literal["name", "length", "difficulty"]
-_MAX_LETTERS = 100  # of a title or a name in a line
+_MAX_LETTERS = 100  # letters of a title or a name in a line
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ DATASET = Kind(
     max_bytes=2**36,  # some 500 hours of music
 )
 """Demonstrations as the hub keeps them."""
-_ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m, rad]
+_ROUNDING = 1e-6  # float32 actions may exceed their limits by this [m, rad]
 
 
 class StepBatch(NamedTuple):

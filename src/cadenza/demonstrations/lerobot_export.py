@@ -31,8 +31,8 @@ from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
 from cadenza.sim.render import Picture, Renderer
 
-_MAX_DATA_BYTES = 100 * 2**20  # of a file; then another is begun
-_MAX_ROWS = 256  # of the table of episodes in memory; one takes 170 kB
+_MAX_DATA_BYTES = 100 * 2**20  # bytes of a file of data
+_MAX_ROWS = 256  # rows of the table of episodes in memory, 170 kB each
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 
@@ -313,14 +313,14 @@ class Statistics(NamedTuple):
 
 PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 IMAGES = "observation.images."  # begins the names of features that are videos
-FILE_BYTES = 200 * 2**20  # after which another file is begun
+FILE_BYTES = 200 * 2**20  # bytes of a video file
 FILES_PER_CHUNK = 1000
 _MIN_SIZE = 16  # [px] that the encoder takes
 _ENCODER = "libx264"
-_KEY_FRAME_INTERVAL = 2  # as LeRobot has it: its learners read pictures in any order
+_KEY_FRAME_INTERVAL = 2  # LeRobot's, whose learners read pictures in any order
 _OPTIONS = {"crf": "20", "g": str(_KEY_FRAME_INTERVAL), "bf": "0"}
-_THREADS = 2  # of the encoder; by default, x264 takes all cores
-_MAX_BRIGHTNESS = 255  # which LeRobot calls 1
+_THREADS = 2  # threads of the encoder; by default, x264 takes all cores
+_MAX_BRIGHTNESS = 255  # LeRobot's 1
 
 
 class Video:

@@ -41,7 +41,7 @@ RESULT = "result.json"
 STEPS, PLAN, SCORE, SONG = "steps.npy", "plan.npy", "score.json", "song"
 SONGS = "songs"  # the folder of the songs of all episodes
 _SEAL = "seal"  # the field of result.json with its own checksum
-_MAX_STEPS = 2 * MAX_STEPS  # of a song, and of the silence before it
+_MAX_STEPS = 2 * MAX_STEPS  # steps of a song, and of the silence before it
 _MIN_TIMESTEP = 1e-4  # [s]; a shorter one is damage
 
 

@@ -188,7 +188,7 @@ _BODY = _body(
     thumb_tip=Geom("capsule", (0.012, 0.008), (0, 0, 0.035)),
     rotor=ROTOR,
 )
-_NARROW_BODY = _body(  # as long, and half as wide
+_NARROW_BODY = _body(  # of the same length, and half the width
     finger_tip=Geom("capsule", (0.006, 0.016), (0, 0, 0.019)),
     thumb_tip=Geom("capsule", (0.006, 0.014), (0, 0, 0.035)),
     rotor=0.0,  # with which the figures of docs/mini-piano.md were learnt

@@ -21,7 +21,7 @@ MAX_FINGERS = 8
 
 _SITE_GROUP = 4  # hidden by MuJoCo's viewers
 _SITE_RADIUS = 0.004  # [m] of a fingertip without touch
-_TOUCH_RADIUS = 1.1  # of the sphere in which contacts count, in radii of the tip
+_TOUCH_RADIUS = 1.1  # radius within which contacts count, in radii of the tip
 
 
 @dataclass(frozen=True)

@@ -50,14 +50,14 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 TOML = ".toml"
 HOW_TO = "docs/how-to/hand.md says what such a file has"
-_MAX_LINKS = 3  # of a finger, as capsules that can meet others
+_MAX_LINKS = 3  # links of a finger with capsules for collisions
 _THIN = 0.008  # [m] radius of a link without shapes
 _MAX_TIP_RADIUS = 0.03  # [m]
 _APART = 0.001  # [m] between the origins of links, for a capsule between them
 _NO_MASS = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}  # MuJoCo wants some
 _STIFF = 1.5  # [N m/rad] from which motions have to be gentle
 _SLACK = 0.3  # [rad] below which a tendon between two joints couples them
-_FOREARM = replace(FOREARM, drawn=())  # which no file need have
+_FOREARM = replace(FOREARM, drawn=())  # not drawn, as a file may have none
 
 
 @dataclass(frozen=True)

@@ -156,4 +156,4 @@ def as_json(shell: Shell) -> dict[str, Any]:
     return {"balls": balls} | shell.material.as_json()
 
 
-_DECIMALS = 5  # of lengths [m]
+_DECIMALS = 5  # decimals of lengths [m]

@@ -18,7 +18,7 @@ from cadenza.keyboards.keyboard import Keyboard, KeyServo, KeyShape, KeySpring
 from cadenza.keyboards.loudness import PianoAction
 from cadenza.keyboards.piano import PIANO
 
-_LENGTH_RATIO = 1.5  # of a piano's keys to these
+_LENGTH_RATIO = 1.5  # lengths of a piano's keys to those of these
 
 MINI = Keyboard(
     name="mini",

@@ -37,7 +37,7 @@ _MAX_HELD_OUT = 5_000  # steps on which the error on held-out demonstrations is 
 _MAX_CACHED = 2**30  # bytes of examples; larger sets are computed anew for each update
 _CACHED_AT_ONCE = 4_096  # examples
 _LEARNT_FROM, _HELD_OUT = "learnt_from", "held_out"  # in run.json: names of episodes
-_MIN_RANGE = 0.05  # of a joint's or a servo's range, where demonstrations hardly move it
+_MIN_RANGE = 0.05  # least range of a joint or servo that hardly moves, as a share of its full one
 
 
 class Examples(NamedTuple):

@@ -35,7 +35,7 @@ from cadenza.music.score import Score
 from cadenza.resumable import Arrays
 
 _EPISODES_AVERAGED = 100  # in a row of metrics
-_RANDOM_EPISODES = 8  # of each song in an evaluation, if the task is randomised
+_RANDOM_EPISODES = 8  # episodes of a song per evaluation, if the task is randomised
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from cadenza.music.notation.sheet import Sheet, sheet_of
 from cadenza.music.score import Score
 from cadenza.report.html_pages import COMPACT, packed_text
 
-_WIDTH = 2600  # of a system, in Verovio's pixels: a staff is 72 high
+_WIDTH = 2600  # width of a system in Verovio's pixels: a staff is 72 high
 _MUSIC_FONT = "Leipzig"
 _MAX_PAGE_LENGTH = 60_000  # the greatest height of a page that Verovio takes
 _MARGIN = 400  # about the systems of a document and between them, in tenths of these

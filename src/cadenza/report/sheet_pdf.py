@@ -45,7 +45,7 @@ _SPELLED = str.maketrans(
     }
 )
 _NUMBER, _COMMAND = re.compile(r"-?[\d.]+"), re.compile(r"([A-Za-z])([^A-Za-z]*)")
-_COUNTS = {"h": 1, "v": 1, "m": 2, "l": 2, "s": 4, "c": 6}  # of numbers after a command of a path
+_COUNTS = {"h": 1, "v": 1, "m": 2, "l": 2, "s": 4, "c": 6}  # numbers after a command of a path
 
 
 def write_pdf(score: Score, path: str | Path) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ _LOUDNESS = -18.0
 # No sample is larger: 2 dBFS below full scale, so that the wave between samples, also of the
 # compressed sound, stays 1 dB below it.
 CEILING = 10 ** (-2 / 20)
-_MAX_AMPLITUDE = 0.2  # of the loudest note, before the sound is levelled
+_MAX_AMPLITUDE = 0.2  # amplitude of the loudest note, before levelling
 BLOCK = 10  # [s] of sound that is made at a time
 _MAX_NOTE = 30.0  # [s] that a note sounds, however long it is held
 _VELOCITY_BAND = 8  # velocities that share one timbre
@@ -339,9 +339,9 @@ def _level(sound: Sound, gain: float) -> None:
 
 # Sound fonts
 
-_MAX_VELOCITY = 127  # of MIDI
-_TEST_PITCH = 60  # which every piano has
-_QUALITY = 6  # of the resampling of symusic, 0 to 6
+_MAX_VELOCITY = 127  # MIDI's
+_TEST_PITCH = 60  # on every piano
+_QUALITY = 6  # quality of symusic's resampling, 0 to 6
 
 
 def voice_of(sound_font: Path | None) -> Tone:

@@ -38,12 +38,12 @@ _UNITS = {
     "train/learning_rate": "log",
 }
 """Columns -> kinds of their axes, if not just numbers; a share is drawn from 0 to 1."""
-_MAX_VALUE = 1e30  # of a drawing; uPlot has no ticks beyond
-_NUM_COLOURS = 8  # that the style sheet has
+_MAX_VALUE = 1e30  # greatest drawn value; uPlot has no ticks beyond
+_NUM_COLOURS = 8  # colours of the style sheet
 _DIGITS = 6  # significant, of a value that is drawn
 _MEAN = "mean"  # style and name of the line of all runs
-_MAX_POINTS = 1200  # of all runs together in a chart, so that the page stays small
-_MAX_LINE_POINTS = 200  # of a line; more cannot be seen
+_MAX_POINTS = 1200  # points of all runs in a chart: the page stays small
+_MAX_LINE_POINTS = 200  # points of a line; more cannot be seen
 
 
 class Points(NamedTuple):

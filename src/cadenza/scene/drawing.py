@@ -12,7 +12,7 @@ from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.furniture import FLOOR, IVORY, LACQUER, CasePiece, floor_height, furniture
 from cadenza.scene.scene import Scene, scene_spec
 
-_DECIMALS = 6  # of lengths [m] and quaternions
+_DECIMALS = 6  # decimals of lengths [m] and quaternions
 
 
 def drawing(scene: Scene) -> dict[str, Any]:
@@ -137,8 +137,8 @@ def _rounded(values: NDArray[Any]) -> list[float]:
     return [round(float(value), _DECIMALS) for value in values]
 
 
-_COLLIDING_GROUP = 3  # which MuJoCo does not draw unless asked
-_SHININESS = 0.6  # of the smoothest material
+_COLLIDING_GROUP = 3  # not drawn by MuJoCo by default
+_SHININESS = 0.6  # shininess of the smoothest material
 _BEVEL = 0.0012  # [m] of edges of the case and the keys
 _ROOM = 6.0  # [m] half of the floor
 _SHADOWED = 0.55  # [m] to either side of where the light points, that has shadows

@@ -28,7 +28,7 @@ PHYSICS_TIMESTEP = {"published": 0.005, "fast": 0.01}  # [s]
 SLEEP_TOLERANCE = 1e-5
 """The tolerance at which keys at rest cost no time and a recorded song replays to 1e-4 rad."""
 _FRICTION_IMPEDANCE = 10  # MuJoCo's impratio of the published scene: keys do not slip
-_KEY_BIT = 2  # of contype and conaffinity, for fingers on keys
+_KEY_BIT = 2  # bit of contype and conaffinity for fingers on keys
 _NUM_POSTURES = 400  # more find no other pair of parts that collides
 _MAX_SPACING, _MAX_YAW = 1.2, 180.0  # [m], a piano's length; [degree]
 

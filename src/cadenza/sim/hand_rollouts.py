@@ -13,7 +13,7 @@ from cadenza.sim.mujoco_simulation import UNSTABLE, MujocoSimulation
 Array = NDArray[np.float64]
 
 _MARGIN = 0.05  # [m] of keys to each side of where fingertips should go
-_MAX_MODELS = 16  # of about 2 MB each; memory must not grow with the length of a song
+_MAX_MODELS = 16  # cached models, 2 MB each; memory must not grow with the length of a song
 _GRID = 6  # keys; models that begin and end at every sixth key are few in a song
 _READY_TO_SLEEP = -1  # `tree_asleep` of a tree that is awake, and has been at rest long enough
 

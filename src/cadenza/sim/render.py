@@ -74,8 +74,8 @@ def _forget_opengl() -> None:
 
 HIT_RGBA = (0.20, 0.72, 0.36, 1.0)
 WRONG_RGBA = (0.88, 0.27, 0.22, 1.0)
-_GLOW = 0.35  # of keys that sound, so that their colour is the same in shadow
-_SAMPLES = 4  # of each pixel in small pictures; drawing takes two and a half times as long
+_GLOW = 0.35  # emission of sounding keys: their colour is the same in shadow
+_SAMPLES = 4  # samples per pixel of small pictures; drawing takes 2.5 times as long
 
 
 @dataclass(frozen=True)

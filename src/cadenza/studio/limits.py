@@ -12,10 +12,10 @@ import signal
 import sys
 from typing import NamedTuple
 
-MAX_BYTES = 4 << 20  # of a file that is uploaded
-MAX_SECONDS = 31 * 60.0  # of music: half an hour, and a little for a last note that rings
+MAX_BYTES = 4 << 20  # bytes of an upload
+MAX_SECONDS = 31 * 60.0  # seconds of music: half an hour, and a little for the last note
 MAX_NOTES = 40_000
-READING_SECONDS = 120.0  # for which a file is read, on a machine that has much else to do
+READING_SECONDS = 120.0  # time to read a file, on a busy machine
 
 _GIB = 1 << 30
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG

@@ -20,9 +20,9 @@ from typing import IO, Any, NamedTuple
 
 JSON, ROWS, IDLE = b"J", b"R", b"W"
 HEADER = struct.Struct("<cI")
-MAX_BYTES = 1 << 26  # of a message
+MAX_BYTES = 1 << 26  # bytes of a message
 SOUNDS = 128  # in a row, the bit of a key that sounds; lower bits are the velocity of a strike
-STEP_PARTS = 255  # of a step, the unit of times in a row
+STEP_PARTS = 255  # parts of a step, the unit of times in a row
 
 
 class WireMessage(NamedTuple):

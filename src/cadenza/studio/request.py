@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from cadenza.music.score import Score
 
 _MAX_TRACK = 1 << 16  # number of a track, as the header of MIDI can count
-_MAX_TRACKS = 64  # that are chosen
+_MAX_TRACKS = 64  # chosen tracks
 _RANGES: dict[str, tuple[float, float]] = {
     "tempo": (0.25, 4),
     "transpose": (-48, 48),
     "seed": (0, MAX_COUNT),
 }
-_ID_DIGITS = 16  # of the name of a practice folder
+_ID_DIGITS = 16  # digits of the name of a practice folder
 # Files of a performance; earlier ones, live.json and live.rows, had other rows
 HEADER_FILE, ROWS_FILE = "states.json", "states.rows"
 """Files of a performance, with the messages sent while it was played."""

@@ -15,7 +15,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 
 _OCTAVE = 12  # [semitones]
-_MAX_OPTIONS = {  # for options that begin at 0; no user needs more
+_MAX_OPTIONS = {  # maxima of options whose minimum is 0
     "control_timestep": 60,
     "n_steps_lookahead": 100_000,
     "n_seconds_lookahead": 3600,

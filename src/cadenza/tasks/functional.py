@@ -40,7 +40,7 @@ Array = Any  # of JAX
 VARIATIONS = 64
 """Number of variations in tempo and pitch that episodes draw from, of all songs together. Their
 fingers are found on the host before the first step."""
-_MIN_VARIATIONS = 8  # of each song, of however many
+_MIN_VARIATIONS = 8  # variations of each song, at least
 
 
 class SongGoals(NamedTuple):

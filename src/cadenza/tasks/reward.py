@@ -38,7 +38,7 @@ _ONSET_BOUND, _ONSET_MARGIN = 0.006, 0.044  # [s]
 # Two people who play a piece differ by 10.8 (299 pairs of recordings in MAESTRO); 25 more are half
 # or twice the speed of the hammer (Goebl 2001, see `Action.per_doubling`).
 _VELOCITY_BOUND, _VELOCITY_MARGIN = 10.8, 25.0  # in MIDI velocity
-_PRESS_AT = np.array((0.35, 0.0, 0.5))  # of half a key's size, from the centre of its box
+_PRESS_AT = np.array((0.35, 0.0, 0.5))  # from the centre of a key's box, in half sizes
 _TOTAL = "total"
 
 

@@ -21,7 +21,7 @@ from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
 
-_LOG_STD = -20.0  # of a clone's actions, which are deterministic
+_LOG_STD = -20.0  # practically 0: a clone's actions are deterministic
 
 
 Examples = tuple[Any, Any]  # observations (..., D), and the demonstrator's actions (..., A)

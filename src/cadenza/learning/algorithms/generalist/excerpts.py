@@ -33,7 +33,7 @@ from cadenza.tasks.piano_task import PianoTask
 # less the more keys the chord has.
 _WRONG, _EARLY, _OFF_PLAN, _STRIKE = 3.0, 1.5, 0.3, 0.3
 _AXES = np.array([0.55, 1.0, 1.0])  # weights of distances: those along a key count less
-_MAX_COST = 15.0  # of a finger in a step
+_MAX_COST = 15.0  # greatest cost of a finger in a step
 
 # The distribution of velocities.
 _VELOCITIES = 30, 100

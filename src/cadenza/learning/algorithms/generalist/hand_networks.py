@@ -19,8 +19,8 @@ Array = NDArray[Any]
 Layers = list[tuple[Any, Any]]
 """Kernels (N, I, O) and biases (N, 1, O) of an ensemble of N perceptrons."""
 
-_MIN_STD = 1e-3  # of an input that is normalised
-OUTPUT_SCALE = 0.1 * np.sqrt(2)  # of a policy's last layer: it begins with small corrections
+_MIN_STD = 1e-3  # least deviation that normalises an input
+OUTPUT_SCALE = 0.1 * np.sqrt(2)  # scale of a policy's last layer: its first corrections are small
 
 
 def initial_layers(

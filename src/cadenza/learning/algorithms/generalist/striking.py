@@ -46,7 +46,7 @@ _ENSEMBLE = 3  # networks whose touches are averaged, and critics
 _CRITIC_HIDDEN = (128, 64)
 _CRITIC_OUTPUTS = 2 + 3  # the outcome, and whether the key sounds in three steps
 _CRITIC_RATE, _CRITIC_DECAY = 2e-3, 0.03  # AdamW
-_HIDDEN_INPUTS = 0.1  # of a critic's, in training
+_HIDDEN_INPUTS = 0.1  # share of a critic's inputs that are hidden in training
 _MAX_GRADIENT_NORM = 5.0
 
 # Touches: how far a finger is lowered [cm], and the share by which corrections are reduced.
@@ -61,9 +61,9 @@ _EARLIEST, _LATEST = -0.03, 0.08  # [s] from the beginning of the step
 
 # Costs.
 _LATE = 3.0  # units of time beyond which a strike does not cost more
-_MISSED = 8.0  # of a key that does not sound after its step, or before it
+_MISSED = 8.0  # cost of a key that does not sound by its step
 _LOWER_COST, _REDUCTION_COST = 0.2, 0.4  # of touches, squared
-_FIRST_REDUCTION = 0.3  # with which learning begins: at 0 it would have no gradient
+_FIRST_REDUCTION = 0.3  # the initial reduction: at 0 it would have no gradient
 
 
 class Strikes(NamedTuple):

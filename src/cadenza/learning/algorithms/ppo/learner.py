@@ -36,7 +36,7 @@ Params = Any  # nested dictionaries of arrays
 _MIN_STD = 0.1
 """Least standard deviation to which an observation is normalised: a goal that is hardly ever
 there is not blown up when it is."""
-_SMALL_GAIN = 0.01  # of the first mean actions, which are then nearly 0 (Andrychowicz et al., 2021)
+_SMALL_GAIN = 0.01  # the first mean actions are nearly 0 (Andrychowicz et al., 2021)
 _LOG_STD_RANGE = (-5.0, 2.0)
 _ADAM_EPS = 1e-5
 # The learning rate is changed by this factor where the divergence is off its target by more than
