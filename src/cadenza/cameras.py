@@ -22,9 +22,9 @@ _ROOM = np.array([0.97, 0.95])  # share of width and height of the picture for t
 _FILLED = 0.88  # share of width and height, with surroundings, below which the camera turns
 _ALONG = 65  # points of a long edge; some are beside the picture
 _CLOSEST = 0.05  # the nearest visible distance from the camera [m]
-_ROUNDS = 8  # of fitting, until nothing moves by a pixel
+_ROUNDS = 8  # rounds of fitting, until nothing moves by a pixel
 _MAX_TURN = np.radians(70)  # around hands that are too far apart to fill a picture
-_HALVINGS = 11  # of its range, down to .03 degrees
+_HALVINGS = 11  # halvings of the range of turns, down to .03 degrees
 
 
 def points_of_box(low: Any, high: Any, along: int = 2) -> Points:

@@ -30,7 +30,7 @@ from cadenza.files import (
 from cadenza.fingers import SIDES
 
 _LOWEST_PITCH = 21  # A0, for older recordings, which are all of pianos
-_NUM_PITCHES = 128  # of MIDI
+_NUM_PITCHES = 128  # MIDI's
 _MAX_SECONDS = 4 * 3600.0
 _MAX_BYTES = 2 * 2**30  # an hour at 20 steps a second takes a sixth of it
 

@@ -15,8 +15,8 @@ Scores = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-MIN_PIECES = 2  # for an interval over pieces
-_SEED = 0  # of the bootstrap: the same runs have the same intervals
+MIN_PIECES = 2  # pieces of an interval, at least
+_SEED = 0  # seed of the bootstrap: the same runs have the same intervals
 
 
 def mean(scores: Scores) -> Scores:

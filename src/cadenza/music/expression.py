@@ -25,11 +25,11 @@ Mask = NDArray[np.bool_]
 VELOCITY_PER_DECIBEL = 2.8
 
 _SAME_LENGTH = 1e-3  # [s] to which Director Musices rounds durations that it compares
-_MIN_INTERVAL = 0.2  # of a written interval, which no rules together make shorter
+_MIN_INTERVAL = 0.2  # shortest interval after all rules, as a share of the written one
 
 # A gap in the melody counts as a rest, and not as staccato, if it is this long.
 _REST = 0.2  # [s]
-_REST_SHARE = 0.5  # of the interval between the onsets
+_REST_SHARE = 0.5  # share of the interval between the onsets
 
 _SEMITONES_PER_DECIBEL = 4.0  # high loud: 3 dB an octave
 
@@ -39,10 +39,10 @@ _CONTRAST = (0.0, -11.0, -7.0, 0.0)
 _CONTRAST_SECONDS = 1.5e-3  # [s] for each
 _CONTRAST_DECIBELS = 0.075  # [dB] for each
 
-_DOUBLE_SHARE = 0.12  # of the shorter note, which the longer one gives it
+_DOUBLE_SHARE = 0.12  # share of the shorter note that the longer one gives it
 _DOUBLE_LONGEST = 1.0  # [s]
 _UPHILL = 0.002  # [s]
-_INEGALITY = 0.22  # of a note, which the one off the beat gives to the one before
+_INEGALITY = 0.22  # share of a note off the beat that it gives to the one before
 _INEGAL_LONGEST = 0.5  # [s] of notes, which are taken for beats if they are longer
 _INEGAL_SHORTEST = 0.05  # [s] of what is left of a note
 
@@ -50,7 +50,7 @@ _INEGAL_SHORTEST = 0.05  # [s] of what is left of a note
 _ARCH_START, _ARCH_END = 0.1, 0.2  # of the interval
 _ARCH_START_DECIBELS, _ARCH_END_DECIBELS = 0.5, 1.0  # [dB], before the factor
 _ARCH_LOUDNESS = 2.0  # this factor, and the turn, are those of the default rule palette
-_ARCH_TURN = 0.3  # of the time from the first onset of the phrase to the last
+_ARCH_TURN = 0.3  # share of the time from the first onset of the phrase to the last
 _PHRASE_LONG = 2.0  # medians of all intervals, at which a note may end a phrase; a choice
 _PHRASE_TIME = 4.0  # [s] that a phrase lasts at least; a choice, about three bars
 _PHRASE_MOST = 10.0  # [s] that a phrase lasts at most, if it can be divided; a choice
@@ -58,13 +58,13 @@ _PHRASE_MOST = 10.0  # [s] that a phrase lasts at most, if it can be divided; a 
 # Punctuation: the micropause [s] after notes of these durations [s]
 _PAUSED_DURATIONS = (0.16, 0.64)
 _PAUSES = (0.02, 0.06)
-_PAUSE_LENGTHENS = 0.45  # of the pause, by which the interval gets longer
-_PUNCTUATED_SHARE = 0.6  # of the mean interval, below which notes are not set apart
+_PAUSE_LENGTHENS = 0.45  # share of the pause by which the interval gets longer
+_PUNCTUATED_SHARE = 0.6  # share of the mean interval below which notes are not set apart
 _LEAP = (
     12 - 7
 )  # semitones, an octave less a fifth, of leaps between groups; smaller ones hardly weigh
 _FIGURE, _FIGURE_LEAPS = 6, 2  # more than 2 such leaps within 6 notes are of a figure, as arpeggios
-_MAX_LEAP = 1.5  # of both neighbouring intervals, which a leap between groups exceeds
+_MAX_LEAP = 1.5  # factor by which a leap between groups exceeds both neighbours
 
 # Final ritard: Friberg and Sundberg (J. Acoust. Soc. Am. 105, 1999, 1469-1484)
 _RITARD_CURVATURE = 3.0  # q, of runners who stop
@@ -77,7 +77,7 @@ _RITARD_LAST_NOTE = 1.25  # of the interval before it, which the last note lasts
 # choice; Goebl explains the lead by the melody's larger velocity.
 _LEAD = 0.025  # [s]
 _LEAD_DECIBELS = 3.0  # [dB]
-_LEAD_SHARE = 0.5  # of a note, by which it begins later at most
+_LEAD_SHARE = 0.5  # share of a note by which it begins later at most
 
 _DEFAULT = ExpressionRules()
 

@@ -18,8 +18,8 @@ Pair = tuple[Note, Note]  # a note that was written, and the note played for it
 
 # The defaults of mir_eval
 ONSET_TOLERANCE = 0.05  # [s]
-_OFFSET_RATIO = 0.2  # of a note's length by which its end may be off
-_DECIMALS = 4  # to which differences in time [s] are rounded
+_OFFSET_RATIO = 0.2  # share of a note's length by which its end may be off
+_DECIMALS = 4  # decimals of differences in time [s]
 
 STEP_METRICS = "precision", "recall", "f1"
 
@@ -193,7 +193,7 @@ def _ratio(part: NDArray[Any], whole: NDArray[Any]) -> NDArray[np.float64]:
     return ratio
 
 
-_VELOCITY_TOLERANCE = 0.1  # of the range of the written velocities; the default of mir_eval
+_VELOCITY_TOLERANCE = 0.1  # share of the range of written velocities; the default of mir_eval
 _TAIL = 90  # percentile that says how large errors become, beside the median
 
 

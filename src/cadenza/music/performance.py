@@ -15,7 +15,7 @@ SAME_NOTE = 0.2  # [s] within which a note played and one written on the same ke
 BOUNCE = 0.02
 """A key that sounds again sooner than this [s] after it ceased has bounced, and its note goes on:
 the action of a grand piano repeats up to about 15 times a second, once in 67 ms."""
-_TIME_DECIMALS = 9  # of times [s]
+_TIME_DECIMALS = 9  # decimals of times [s]
 
 
 class KeyEvent(NamedTuple):

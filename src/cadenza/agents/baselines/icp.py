@@ -30,7 +30,7 @@ from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
-_MAX_ITERATIONS = 20  # of ICP; the matches repeat after two or three
+_MAX_ITERATIONS = 20  # iterations of ICP; the matches repeat after two or three
 _LIFT = 0.1  # [s] that a finger takes from one key to another
 _LOOK_AHEAD = 2.0  # [s] after a chord, of keys that the hand is matched to at the same time
 _FORBIDDEN = 2.0  # [m^2] penalty of a match, more than any squared distance

@@ -28,7 +28,7 @@ from cadenza.tasks.view import View
 # Within these radii the norms of the cost are nearly squares.
 _KEY_RADIUS = 0.1
 _FINGER_RADIUS = 0.01  # [m]
-_NO_CHANGE = 1e-6  # of controls, in half ranges
+_NO_CHANGE = 1e-6  # change of controls that ends the search, in half ranges
 _TRUSTED_STEP = 0.3  # if the best step is shorter, the model is inaccurate
 
 

@@ -37,7 +37,7 @@ _REMEMBERED = 0.5  # [s] of past presses that do
 _LIFTED = SolverOptions(max_iterations=2, max_trials=0, tolerance=0.1, damping=10.0)
 _USUAL = _LIFTED._replace(damping=20.0, keep_derivatives=True)
 _SETTLED = 0.1  # share of the music in sight in which fingers no longer change
-_ONSETS_AT_ONCE = 12  # for which fingers are found together
+_ONSETS_AT_ONCE = 12  # onsets whose fingers are found together
 # A caught finger is lifted, and presses again.
 _CAUGHT = 0.012  # [m] beside its target
 _LIFT_TIME = 0.15  # [s] until it presses again

@@ -24,9 +24,9 @@ from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 
 # Corrections by one play [m].
-_DEEPER = 0.0015  # of a key that is lost
-_BESIDE = 0.0015  # of a finger that brushes the next key
-_RAISE = 0.003  # of an idle finger that sounds a key
+_DEEPER = 0.0015  # depth for a key that was lost
+_BESIDE = 0.0015  # shift of a finger that brushes the next key
+_RAISE = 0.003  # height of an idle finger that sounds a key
 _LIFT = (-0.002, 0.003)  # minimum and maximum at the end of a press
 _MAX_STRIKE = np.array([0.004, 0.008])
 _BOUNDS: dict[str, tuple[Any, Any]] = {
@@ -38,7 +38,7 @@ _BOUNDS: dict[str, tuple[Any, Any]] = {
     "hands": (-2.0, 2.0),
 }
 """Bounds of all corrections together, as multiples of the usual error of the keyboard's place."""
-_SHARE = 0.6  # of the error of a strike that is corrected
+_SHARE = 0.6  # share of the error of a strike that is corrected
 
 _MAX_LATENESS = 0.15  # [s] of the note that a press played
 _MAX_ERROR = np.array([0.06, 1.5])  # [s, octaves] of a strike that counts

@@ -16,7 +16,7 @@ from cadenza.scene.servos import Servos
 from cadenza.tasks.config import DomainRandomization
 
 _SETTLED = 2.0  # [s] after which the response to a control step is over
-_ITERATIONS = 100  # of the optimisation of controls
+_ITERATIONS = 100  # iterations of the optimisation of controls
 _PENALTY = 0.3  # on controls that are too fast for a servo, which determines the convergence
 
 # The grid for identification: delays, and factors of the damping and the speed of servos.

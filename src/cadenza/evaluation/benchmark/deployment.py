@@ -19,7 +19,7 @@ from cadenza.tasks.unknown_robot import PLAYS
 
 AGENT = "practice-with-robots"
 _PROFILE: Profile = "realistic"
-_MAX_BYTES = 2**28  # of eleven plays of a song
+_MAX_BYTES = 2**28  # bytes of eleven plays of a song
 
 
 def played_on_robot(actions: NDArray[np.float64], robot: int, setup: Setup) -> Metrics:

@@ -24,7 +24,7 @@ from cadenza.music.libraries.songs import Song
 
 ENTRY, ACTIONS = "entry.json", "actions"
 Metrics = dict[str, float | None]
-_MAX_BYTES = 2**24  # of entry.json: a thousand songs with twenty seeds take 10 MB
+_MAX_BYTES = 2**24  # bytes of entry.json: a thousand songs with twenty seeds take 10 MB
 _MAX_SEEDS = 20  # to bound the time of verification
 _MAX_TEXT = 300  # characters, as many as a cell of the table shows
 _MAX_SECONDS = 1e12  # more than any run takes, with finite sums

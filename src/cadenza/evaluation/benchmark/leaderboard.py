@@ -23,7 +23,7 @@ from cadenza.music.score import MS_PER_SECOND
 
 VERIFIED, UNVERIFIED, REFUSED = "verified", "unverified", "refused"
 _ORDER = (VERIFIED, UNVERIFIED, REFUSED)
-_DECIMALS = {"onset_error_ms": 1, "velocity_error": 1, "cpu_per_music": 2}  # of others three
+_DECIMALS = {"onset_error_ms": 1, "velocity_error": 1, "cpu_per_music": 2}  # 3 for others
 _COLUMNS = {
     "status": "status",
     "name": "entry",
@@ -41,7 +41,7 @@ _COLUMNS = {
     "why": "why not verified",
 }  # of Markdown, with their titles; the CSV file has more
 _SHARES = ("f1", "precision", "recall", "pooled_f1")  # beside note onset F1
-_CLAIMS = ("songs", "track", "name", "by", "fingering", "agent", "about")  # of the entry
+_CLAIMS = ("songs", "track", "name", "by", "fingering", "agent", "about")  # fields of the entry
 Row = dict[str, Any]
 
 

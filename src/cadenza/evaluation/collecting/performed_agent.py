@@ -23,7 +23,7 @@ from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 
-_SEED = 0  # of every performance, so that all episodes of a song track the same one
+_SEED = 0  # seed of performances: all episodes of a song track the same one
 _ARRAYS = {
     "action": ArrayOf(FLOATS, ("steps", "actions"), needed=True, finite=True),
     "expected": ArrayOf(FLOATS, ("states", "servos", 2), needed=True, finite=True),

@@ -8,7 +8,7 @@ import numpy as np
 from cadenza.music.score import MIRROR, Score
 from cadenza.tasks.config import TaskConfig
 
-_MIRRORED_SHARE = 0.5  # of the episodes whose mirror image can be played
+_MIRRORED_SHARE = 0.5  # share of episodes that are mirrored, where they can be
 
 
 @dataclass(frozen=True)

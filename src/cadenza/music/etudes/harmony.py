@@ -25,7 +25,7 @@ _MINOR: dict[Form, tuple[int, ...]] = {
     "melodic": (0, 2, 3, 5, 7, 9, 11),
 }
 _FLATS, _SHARPS = 5, 6  # with more than these, a key has an enharmonic name with fewer
-_MAX_FLATS = 6  # of the first of `_NAMES`
+_MAX_FLATS = 6  # flats of the first of `_NAMES`
 # Tonics by fifths, from G-flat major with its six flats. The tonic of a minor key is three fifths
 # above that of its relative major key.
 _NAMES = (

@@ -11,7 +11,7 @@ from cadenza.music.score import Note, Score
 _OCTAVE_UP_AND_DOWN = 16  # steps of a scale over an octave, with the last note held
 _TENTH = STEPS + 2  # degrees between the hands
 _CONTRARY = 8  # difficulty from which the hands of a finger exercise may move against each other
-_MAX_NOTES = 8  # of a figure
+_MAX_NOTES = 8  # notes of a figure
 
 
 def scales(sheet: EtudeSheet) -> Iterator[Tone]:

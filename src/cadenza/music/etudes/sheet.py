@@ -16,7 +16,7 @@ PHRASE = 4  # bars
 _BOTH_HANDS = 6  # difficulty from which both hands play figures at once
 _SHORTEST = 18.0  # [s] length of an etude, which is rounded up to whole phrases
 _RELEASE = 0.05  # [s] by which a note ends early, so that its key can come up
-_RELEASE_SHARE = 0.25  # of a note, by which short notes end early instead
+_RELEASE_SHARE = 0.25  # share of a note by which short notes end early instead
 _ACCENT = 12  # additional velocity of notes that begin a bar
 
 

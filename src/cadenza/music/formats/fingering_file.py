@@ -24,7 +24,7 @@ from cadenza.music.formats.source import decoded
 from cadenza.music.score import MAX_SCORE_LENGTH, MIDI_PITCHES, Score
 
 SUFFIX = ".fingering"
-_MAX_BYTES = 16 * 2**20  # with half a million lines
+_MAX_BYTES = 16 * 2**20  # bytes of half a million lines
 TOLERANCE = 0.05  # [s] between a line's time and the start of its note
 
 _HEADER = (

@@ -19,9 +19,9 @@ from cadenza.music.signs.tempo_map import usual_tempo
 _ID = "xml:id"
 _NAMESPACE = "http://www.music-encoding.org/ns/mei"
 _MAX = 100_000  # bars, with repeats
-_MAX_STAVES = 100  # of a part
+_MAX_STAVES = 100  # staves of a part
 _MAX_PASSES = 64
-_ENDLESS = 10**9  # for a number in MEI
+_ENDLESS = 10**9  # more than any number in MEI
 _ZERO = Fraction(0)
 _SLOWEST, _FASTEST = 4, 2000  # quarters a minute; slower ones MIDI cannot say
 _TEMPO = 120.0  # quarters a minute where nothing is said, as in MIDI

@@ -138,7 +138,7 @@ def score_of(file: MidiFile, tracks: Collection[int], title: str) -> Score:
 
 
 _KARAOKE_TITLE, _KARAOKE = "@T", "soft karaoke"
-_SUNG = b"@", b"\\", b"/"  # with which texts of karaoke, and lines in it, begin
+_SUNG = b"@", b"\\", b"/"  # beginnings of karaoke texts, and of lines in them
 
 
 def _title(tracks: list[list[Message]]) -> str:

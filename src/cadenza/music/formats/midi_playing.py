@@ -53,14 +53,14 @@ _KEEPS = 64  # the value that transposes by nothing
 _MAX_SHIFT = 24  # [semitones] by which synthesizers of GS and XG transpose or bend
 _USUAL_RANGE, _MEMBER_RANGE = 2, 48  # bend ranges [semitones] of channels, and of members of zones
 _CENTS = 100  # in a semitone
-_POSITIONS = 1 << 13  # of the pitch wheel on either side
+_POSITIONS = 1 << 13  # positions of the pitch wheel on either side
 _EXACT = 0.1  # [semitones] by which a bend may miss whole ones: wheels of 7 bits miss 2 by 0.03
-_MANAGERS = CHANNELS[0], CHANNELS[-1]  # of MPE zones of the channels above and below them
+_MANAGERS = CHANNELS[0], CHANNELS[-1]  # of MPE zones: the channels above and below them
 _MELODIC_BANK, _DRUM_BANK = 121, 120  # of General MIDI 2
 _XG_DRUM_BANKS = (126, 127)
 
 _XG, _GS = (YAMAHA, 0x4C), (ROLAND, 0x42, 0x12)  # messages that set the value of an address
-_ADDRESS_BYTES = {ROLAND: 6, YAMAHA: 5, ANY_TIME: 2, REAL_TIME: 4}  # with that of the maker
+_ADDRESS_BYTES = {ROLAND: 6, YAMAHA: 5, ANY_TIME: 2, REAL_TIME: 4}  # including the one of the maker
 ALL, _DRUMS, _KEY_SHIFT, _RANGE = "all", "is_drum_part", "key_shift", "bend_range"
 _GS_CHANNELS = (DRUM_CHANNEL, *(number for number in CHANNELS if number != DRUM_CHANNEL))
 _SETTINGS: dict[tuple[int, ...], tuple[str, int | None]] = {  # address -> what, channel

@@ -15,7 +15,7 @@ from cadenza.music.notation.metre import QUARTER, WHOLE, Measure, metre_of
 from cadenza.music.score import MAX_SIGNS, Score
 
 _FINER = 19  # ticks of the file for one of a metre: nearly as many as a file can have
-_TICKS = _FINER * QUARTER  # of a quarter
+_TICKS = _FINER * QUARTER  # ticks of a quarter
 _LATE = 1e-3  # [s] by which a beat may be early or late before the tempo is given anew
 _SECOND = 1e6  # [us]
 _SLOWEST = 2**24 - 1  # [us] of a quarter

@@ -49,7 +49,7 @@ _COMPOSER = {
     "MEI": re.compile(r'(?s)<(composer|persName [^>]*role="composer")[^>/]*>(.*?)</'),
 }
 _NEAR = 1e-3  # beats by which Verovio may round
-_MAX_BEATS = 255  # of a time signature in MIDI
+_MAX_BEATS = 255  # beats of a time signature in MIDI
 _MINUTE = 60_000_000  # microseconds
 
 

@@ -14,7 +14,7 @@ from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
 
 BENCHMARK = "benchmark"  # the name of the library
-_ETUDE_SEED = 1_000_000  # of all etudes, far from seeds that anybody is likely to have used
+_ETUDE_SEED = 1_000_000  # seed of all etudes, far from seeds in common use
 _ETUDE_SPLITS = ("test", "valid", "train", "train", "train")
 _BANDS = {"train": range(1000, 1036), "valid": range(1036, 1048), "test": range(1048, 1060)}
 _BAND_FILES = Path(__file__).with_name("bands.zip")  # made up for Cadenza, and free of rights

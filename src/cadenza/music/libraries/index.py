@@ -29,7 +29,7 @@ _NUMBERS: Mapping[str, Callable[[str, str, int, int], float]] = {
     "difficulty": number_in,
 }
 _COLUMNS = (_NAMES[0], *_TEXTS, *_NUMBERS)
-_MAX_BYTES = 64 * 2**20  # of a hundred thousand pieces
+_MAX_BYTES = 64 * 2**20  # bytes of a hundred thousand pieces
 
 Facts = dict[str, Any]  # facts about a piece, by the names of the fields of `Song`
 

@@ -23,7 +23,7 @@ from cadenza.registry import Entry, Registry
 __all__ = ["LIBRARIES", "find_song", "libraries", "load_score", "open_library", "songs"]
 
 ETUDES = "etudes"
-_WEB = ("http:/", "https:/", "ftp:/", "file:/")  # of an address, also of one that became a path
+_WEB = ("http:/", "https:/", "ftp:/", "file:/")  # of addresses, also as paths
 LIBRARIES = Registry(
     "song library",
     "cadenza.songs",

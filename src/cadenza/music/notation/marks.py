@@ -25,7 +25,7 @@ _FASTEST = 1e-3  # [s] of a quarter
 _SHOWN = 0.12  # relative change of tempo, over two measures, with a metronome mark
 _LOUDER = 12  # change of the median velocity, over two measures, with a dynamic mark
 _MUCH_LOUDER = 24  # change of the median velocity of a single measure with a dynamic mark
-_PARTS = 4  # of a cell, on which words and marks of the pedal stand
+_PARTS = 4  # parts of a cell on which words and marks of the pedal stand
 
 
 class TempoMark(NamedTuple):

@@ -19,13 +19,13 @@ _MIN_SPREAD, _MAX_SPREAD = 0.025, 0.04  # [s] ... within these
 _EXACT_SPREAD = 0.012  # [s] of onsets that are not
 _COMMON = 12, 16, 5, 7  # parts of a cell, on which onsets are that nobody has played ...
 _NEAR = 0.02 / 12  # ... up to so much of it
-_MOSTLY = 0.8  # of the onsets of such a file are there
+_MOSTLY = 0.8  # share of the onsets of such a file that are on a cell
 _SHORTEST = 0.025  # [s] of a part of a grid
 _FINEST = QUARTER // 16  # a 64th, which is a whole number of ticks
 _APART = 0.5  # cost of grids that differ between voices
 _MERGED = 1.5  # cost of chords that fall together
 _REPEATED = 20.0  # cost of chords with the same pitch that fall together
-_FILLED = 0.5  # of the time to the next onset, up to which a gap is not written as a rest
+_FILLED = 0.5  # share of the time to the next onset that needs no rest
 _MAX_FILLED = QUARTER
 
 

@@ -13,14 +13,14 @@ _FIFTHS = {step: fifths for fifths, step in enumerate(_LINE_OF_FIFTHS, start=-1)
 _SHARP = 7  # fifths from a step to the same with a sharp
 _ENHARMONIC = 12  # fifths between two names of a pitch
 _CANDIDATES = 3  # likeliest keys; the one with the fewest accidentals is taken
-_MAX_SIGNS = 6  # of a key signature; rather five flats than seven sharps
+_MAX_SIGNS = 6  # signs of a key signature; rather five flats than seven sharps
 _MAX_ALTERED = 2  # sharps or flats of a note
 # Of ps13, in which letters count from A, and pitch classes from it.
 _BEFORE, _AFTER = 10, 40  # notes that are heard around one
 _LETTERS = 7
 _NATURALS = np.array([0, 2, 3, 5, 7, 8, 10])
-_FIRST_LETTER = np.array([0, 1, 1, 2, 2, 3, 4, 4, 5, 5, 6, 6])  # of the first note
-_LETTER_IN_KEY = np.array([0, 1, 1, 2, 2, 3, 3, 4, 5, 5, 6, 6])  # of semitones above a tonic
+_FIRST_LETTER = np.array([0, 1, 1, 2, 2, 3, 4, 4, 5, 5, 6, 6])  # by pitch class
+_LETTER_IN_KEY = np.array([0, 1, 1, 2, 2, 3, 3, 4, 5, 5, 6, 6])  # by semitones above a tonic
 # Krumhansl and Kessler 1982: how well pitch classes fit to a key, from its tonic on.
 _MAJOR = np.array([6.35, 2.23, 3.48, 2.33, 4.38, 4.09, 2.52, 5.19, 2.39, 3.66, 2.29, 2.88])
 _MINOR = np.array([6.33, 2.68, 3.52, 5.38, 2.60, 3.53, 2.54, 4.75, 3.98, 2.69, 3.34, 3.17])

@@ -25,8 +25,8 @@ _SHARPS = (3, 0, 4, 1, 5, 2, 6)  # the steps that get sharps, in the order of ke
 _WHOLE_TONE = 2
 _MIN_TRILL = 4  # notes: two shakes
 _FASTEST = 0.05  # [s] a note has no ornament whose notes would be shorter; a choice
-_FIRST = 4 / 3  # of the mean length has the first note of a trill that accelerates; a choice
-_MAX_OF_NOTE = 0.5  # of the note, which a turn after it takes at most
+_FIRST = 4 / 3  # length of the first note of an accelerating trill, in mean lengths; a choice
+_MAX_OF_NOTE = 0.5  # share of a note that a turn after it takes at most
 
 Played = tuple[float, float, int]  # a note of an ornament: start and end [s], and pitch
 
@@ -136,8 +136,8 @@ def _sequence(pitches: list[int], first: float, each: float, end: float) -> list
 
 # Grace notes
 
-_MAX_TAKEN = 0.5  # of the note before or after grace notes, which they take; a choice
-_MIN_SHARE = 0.01  # of a neighbour, as files give per cents
+_MAX_TAKEN = 0.5  # share of a neighbour that grace notes take at most; a choice
+_MIN_SHARE = 0.01  # share of a neighbour, in whole per cents in files
 _HALF, _TWO_THIRDS = Fraction(1, 2), Fraction(2, 3)
 _THREE = 3  # halves of its value without the dot that a dotted note lasts
 

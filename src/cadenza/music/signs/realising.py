@@ -126,7 +126,7 @@ def _pair(swing: Swing, place: Fraction) -> Fraction:
 
 # Articulation
 
-_MAX_LIFTED = 0.5  # of a note, by which it ends earlier at most
+_MAX_LIFTED = 0.5  # share of a note by which it ends earlier at most
 
 
 def articulate(voice: Voice, slurred: set[Fraction]) -> None:
@@ -262,7 +262,7 @@ def _shared(chord: Sequence[SignedNote]) -> list[SignedNote]:
     return shared
 
 
-_MAX_OF_CHORD = 0.5  # of the shortest note, within which the last one begins; a choice
+_MAX_OF_CHORD = 0.5  # share of the shortest note within which the last one begins; a choice
 
 
 def break_chords(notes: Iterable[SoundingNote]) -> None:

@@ -21,8 +21,8 @@ from cadenza.music.signs.tempo_map import Swing
 
 _COUNTED = re.compile("[0-9]{1,6}(?![0-9])")
 """What a bar is counted as, such as 4a; X1 is none, and part of the bar before it."""
-_MAX_TIMES = 999  # that a section is played, as endings are numbered
-_MAX_BEATS = 64  # of a bar; a longer one has no metre
+_MAX_TIMES = 999  # times that a section is played, by the numbers of endings
+_MAX_BEATS = 64  # beats of a bar; a longer one has no metre
 
 
 @dataclass(slots=True)

@@ -254,7 +254,7 @@ _FERMATAS = {
     **dict.fromkeys(("angled", "double-angled"), SHORT_FERMATA),
     **dict.fromkeys(("square", "double-square"), LONG_FERMATA),
 }
-_MIN_LINES = 4  # of a chorale
+_MIN_LINES = 4  # lines of a chorale
 _LINE = 1.5, 6.0  # bars of its lines, in the mean
 _MAX_SWING = 16  # times as long as the other note of a pair
 

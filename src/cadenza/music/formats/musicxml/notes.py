@@ -36,7 +36,7 @@ from cadenza.music.signs.notes import (
 )
 
 _FINGERS = "12345"
-_STAVES = 2  # of a part for both hands: the upper one is for the right hand
+_STAVES = 2  # staves of a part for both hands: the upper one is for the right hand
 _OTHER_STAVES = frozenset(("ossia", "cue", "editorial", "alternate"))
 """Types of staves with what may be played instead of another, or is for reference only."""
 _MARKS = {

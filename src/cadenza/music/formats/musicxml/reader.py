@@ -40,7 +40,7 @@ from cadenza.music.score import Bar, PedalEvent, Score, Track, check_chosen
 from cadenza.music.signs.realising import realised
 from cadenza.music.signs.tempo_map import AS_USUAL, Swing, TempoMap, says_tempo
 
-_DECIMALS = 9  # of times [s]: what ends where another begins does so exactly
+_DECIMALS = 9  # decimals of times [s]: a note that ends where another begins does so exactly
 _DRUM_CHANNEL = 10
 _AUDIBLE = Fraction(100)  # per cent of the volume
 _MAX_PARTS = 500  # an orchestra has some 50
