@@ -46,8 +46,10 @@ _ROOM, _ROOM_OFF = 0.024, 0.003  # of all else above white keys, so that it is o
 _STEEP, _STEEP_THUMB, _STEEP_OFF = 0.85, 0.3, 0.3  # how far last links point down, of 1
 _ASIDE_OFF = 0.6  # how far they point to a side
 _MARGIN, _MARGIN_OFF = 0.1, 0.03  # margin at both ends of a joint's range, as a share of it
-_TILT_OFF, _BENT_OFF = 5.0, 10.0  # of the palm, and of joints from where the search begins
+# Of the palm, and of joints from where the search begins: steep knuckles would hardly spread.
+_TILT_OFF, _BENT_OFF = 5.0, 2.0
 _LIFT, _MAX_LIFT = 0.02, 0.6  # by the servo that lifts a finger: of its tip, and of its joint
+_TURN = 0.002  # of a servo, to see how it moves its fingertip
 _PALM_AT = np.array([0.0, 0.0, 0.2])  # in the forearm's frame, where the search begins
 _MAX_SHIFT = np.array([0.06, 0.12, 0.25, 0.7])  # of place and tilt from there
 _TO_WORLD = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])  # from the forearm's frame
@@ -191,12 +193,12 @@ class _HoverProblem:
         for finger in range(len(at_rest)):
             servos = np.flatnonzero(self._finger == finger)
             moved = np.tile(u, (len(servos), 1))
-            moved[np.arange(len(servos)), 4 + servos] += _BENT_OFF / 1000
+            moved[np.arange(len(servos)), 4 + servos] += _TURN
             rates = [self.points(moved_u)[finger, -1, 2] - at_rest[finger] for moved_u in moved]
             if not rates:
                 continue
             best = int(np.argmax(np.abs(rates)))
-            turn = _LIFT / (rates[best] * 1000 / _BENT_OFF)
+            turn = _LIFT * _TURN / rates[best]
             lifts[self.names[servos[best]]] = round(float(np.clip(turn, -_MAX_LIFT, _MAX_LIFT)), 3)
         return lifts
 
