@@ -5,7 +5,7 @@
 
 Plays the first seconds of each song on robots, by default 0 to 9. Directly, agents know how late
 robots are by their profile. Writes robot-plays.csv, a row for each song and robot, from which it
-goes on, and robots.csv, with means and the 95 % intervals of the robots.
+goes on, and robots.csv, with means and 95 % intervals of songs and robots.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 from benchmarks.arguments import parser_for
 from cadenza.agents.agent import Agent
 from cadenza.agents.generalist.generalist import Generalist
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.robot.practice import learn_in_ten_plays
 from cadenza.agents.robot.simulated import SimulatedRobot
@@ -43,7 +44,11 @@ SONGS = (
 )
 """From easy to hard."""
 METRICS = "f1", "note_onset_f1"
-DIRECT: Mapping[str, Callable[[], Agent]] = {"planner": Planner, "generalist": Generalist}
+DIRECT: Mapping[str, Callable[[], Agent]] = {
+    "planner": Planner,
+    "practised planner": lambda: Planner(PlannerConfig(effort=1.0)),
+    "generalist": Generalist,
+}
 PRACTICE, AFTER = "practice", "after ten plays"
 
 

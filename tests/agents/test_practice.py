@@ -31,6 +31,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.results import read_results
 from cadenza.files import ANY, locked, read_arrays, read_tensors, write_tensors
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
@@ -418,13 +419,18 @@ def begun_folder(tmp_path_factory):
     return folder_of(tmp_path_factory.mktemp("begun"), "--effort", "0")
 
 
-def test_a_practised_plan_plays_again_bit_for_bit(practised_folder):
+def test_a_practised_plan_plays_again_bit_for_bit(practised_folder, tmp_path):
     folder, hands = practised_folder
     played = load_episode(folder / "episode.npz")
     with_feedback = cadenza.play(agent=folder)  # song and task are those of the folder
     task = PianoTask([HARD], QUICK, SceneConfig(hands=hands))
     actions = load_plan(folder / "plan.safetensors").actions
-    for again in with_feedback.episode, play_episode(task, Playback(actions)).episode:
+    song, bench = folder.parent / "hard.mid", tmp_path / "bench"
+    options = ["--agents", str(folder), "--jobs", "1", "--pages", "none"]
+    main(["bench", "--songs", str(song), *options, "-o", str(bench)])
+    (run,) = read_results(bench).results
+    playback = play_episode(task, Playback(actions)).episode
+    for again in with_feedback.episode, playback, load_episode(run.folder / "episode.npz"):
         for name in ("action", "hand_qpos", "key_qpos", "key_activation"):
             np.testing.assert_array_equal(again[name], played[name])
     assert (folder / "report.html").exists()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-from cadenza.agents.registry import PLAYBACK, PRETRAINED, is_folder
+from cadenza.agents.registry import PLANNER, PLAYBACK, PRACTISED, PRETRAINED, is_folder
 from cadenza.cli.arguments import Flat, Output, Quiet
 from cadenza.cli.options import TRAIN, Options, Read, split_agents
 from cadenza.cli.runs import Execution, Work, check_execution, run_all
@@ -133,6 +133,8 @@ def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
 
     if agent.startswith(TRAIN):
         return _trained(command, read, agent)
+    if (Path(agent) / PRACTISED).is_file():
+        return _practised(command, read, agent)
     if is_folder(agent):
         folder = policy_folder(agent)
         return _with_policy(read, pinned(agent, folder), folder)
@@ -163,6 +165,17 @@ def _with_policy(read: Read[Bench], agent: str, folder: Path) -> Contender:
     own = read(task=learnt.task, scene=learnt.scene)
     digest = sha256_of(folder / POLICY_FILE)[:12]
     return Contender(agent, own.task, own.scene, agent_digest=digest)
+
+
+def _practised(command: Bench, read: Read[Bench], agent: str) -> Contender:
+    from cadenza.evaluation.jobs import Contender
+    from cadenza.files import sha256_of
+    from cadenza.performing.setup import find_player
+
+    player = find_player(agent, configs=command.configs)
+    own = read(task=player.task, scene=player.scene)
+    digest = sha256_of(Path(agent) / PRACTISED)[:12]
+    return Contender(agent, own.task, own.scene, command.configs.get(PLANNER), digest)
 
 
 def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:

@@ -22,6 +22,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.jobs import BenchJob, JobSpec, song_digest
 from cadenza.evaluation.results import FORMAT, RESULT, ResultFile, Timing, Trained, is_finished
@@ -83,7 +85,9 @@ def _result(
         if trained is None:
             return None
     agent = spec.agent if trained is None else str(folder / "training" / "best")
-    configs = {spec.agent: spec.config} if trained is None else {}
+    # Options of the planner hold for a practised plan, too.
+    whose = PLANNER if isinstance(spec.config, PlannerConfig) else spec.agent
+    configs = {whose: spec.config} if trained is None else {}
     with set_up(
         spec.song,
         find_player(agent, spec.song, configs=configs).playing_in(spec.task, spec.scene),
