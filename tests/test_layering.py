@@ -61,6 +61,7 @@ LIBRARIES: dict[str, set[str]] = {
     "demonstrations": {"numpy", "av", "gymnasium", "minari", "pyarrow"},
     "learning": {
         "numpy",
+        "scipy",
         "jax",
         "flax",
         "optax",
