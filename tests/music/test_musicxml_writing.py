@@ -533,6 +533,26 @@ def test_velocities_are_kept_and_shown(tmp_path):
     assert [note.velocity for note in read.notes] == [101] * 8 + [47] * 8
 
 
+def test_hairpins_lead_from_one_dynamic_to_another(tmp_path):
+    """Piano for two bars, two bars of crescendo, forte for two, and suddenly piano."""
+    velocities = [49] * 8 + list(range(52, 100, 6)) + [98] * 8 + [49] * 8
+    pitches = [60, 62, 64, 65] * 8
+    notes = [
+        replace(note, velocity=velocity)
+        for note, velocity in zip(line(pitches, 0.5), velocities, strict=True)
+    ]
+    root = written(Score(tuple(notes), bars=bars(8)), tmp_path)
+    marks = [
+        (int(measure.get("number")), sign.get("type") or sign[0].tag)
+        for measure in root.iter("measure")
+        for sign in measure.iter()
+        if sign.tag in ("dynamics", "wedge")
+    ]
+    assert marks == [(1, "p"), (3, "crescendo"), (5, "stop"), (5, "f"), (7, "p")]
+    read = read_musicxml(tmp_path / "song.musicxml")
+    assert [note.velocity for note in read.notes] == velocities
+
+
 def test_the_pedal_is_kept(tmp_path):
     moves = [(0.0, 127), (1.0, 0), (1.125, 90), (2.0, 100), (2.25, 10)]
     pedal = tuple(PedalEvent(*move) for move in moves)

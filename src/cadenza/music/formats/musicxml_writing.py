@@ -323,6 +323,8 @@ def _directions(measure: WrittenMeasure, hand: int) -> Iterator[tuple[int, Eleme
     if hand != RIGHT:
         yield from ((mark.tick, _pedal(mark)) for mark in measure.pedal)
         return
+    if measure.wedge:
+        yield measure.measure.start, _direction("wedge", RIGHT, "below", type=measure.wedge)[0]
     if measure.dynamic:
         direction, sign = _direction("dynamics", RIGHT, "below")
         SubElement(sign, measure.dynamic)

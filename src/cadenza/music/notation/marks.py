@@ -1,7 +1,7 @@
 """Marks on a sheet: clefs, tempos, dynamics and the pedal."""
 
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ _FASTEST = 1e-3  # [s] of a quarter
 _SHOWN = 0.12  # relative change of tempo, over two measures, with a metronome mark
 _LOUDER = 12  # change of the median velocity, over two measures, with a dynamic mark
 _MUCH_LOUDER = 24  # change of the median velocity of a single measure with a dynamic mark
+_MIN_STEP = 4  # change of the median velocity from each measure of a hairpin to the next
 _PARTS = 4  # parts of a cell on which words and marks of the pedal stand
 
 
@@ -142,20 +143,51 @@ def _ticks_of_shown_tempos(metre: Metre) -> set[int]:
     return shown
 
 
-def dynamics(velocities: Sequence[Sequence[int]]) -> dict[int, str]:
-    """The dynamic marks of measures, by their indices, from the velocities of their notes."""
+def dynamics(velocities: Sequence[Sequence[int]]) -> tuple[dict[int, str], dict[int, str]]:
+    """The dynamic marks of measures from the velocities of their notes, and the ends of hairpins.
+
+    Both are by the indices of measures: a hairpin begins with "crescendo" or "diminuendo" and ends
+    with "stop". Within one there is no dynamic mark.
+    """
     marks: dict[int, str] = {}
     latest = ""
     medians = [(i, float(np.median(values))) for i, values in enumerate(velocities) if values]
+    hairpins = _hairpins(medians)
+    inside = {i for begin, end in hairpins for i in range(begin, end)}
+    ends = {end for _, end in hairpins}
     for (measure, velocity), (_, following) in pairwise([*medians, medians[-1]]):
         if not latest:  # a pickup may be a single note
             velocity = (velocity + following) / 2
-        elif not _is_change(velocity - VELOCITIES[latest], following - VELOCITIES[latest]):
+        elif measure in inside or not (
+            measure in ends
+            or _is_change(velocity - VELOCITIES[latest], following - VELOCITIES[latest])
+        ):
             continue
         nearest = min(VELOCITIES, key=lambda mark: abs(VELOCITIES[mark] - velocity))
         if nearest != latest:
             latest = marks[measure] = nearest
-    return marks
+    wedges = {begin: kind for (begin, _), kind in hairpins.items()}
+    return marks, wedges | dict.fromkeys(ends, "stop")
+
+
+def _hairpins(medians: Sequence[tuple[int, float]]) -> dict[tuple[int, int], str]:
+    """(begin, end), the measures at whose beginnings a hairpin begins and ends -> its kind.
+
+    In the measures from the one before it to its end, the median velocity only rises, or only
+    falls, and much in all. There are two of such steps or more, as one is a new dynamic.
+    """
+    hairpins: dict[tuple[int, int], str] = {}
+    steps = [after - before for (_, before), (_, after) in pairwise(medians)]
+    signs = [int(np.sign(step)) if abs(step) >= _MIN_STEP else 0 for step in steps]
+    first = 0
+    for sign, run in groupby(signs):
+        last = first + len(list(run))
+        change = medians[last][1] - medians[first][1]
+        if sign and last - first > 1 and abs(change) > _MUCH_LOUDER:
+            kind = "crescendo" if sign > 0 else "diminuendo"
+            hairpins[medians[first + 1][0], medians[last][0]] = kind
+        first = last
+    return hairpins
 
 
 def _is_change(change: float, next_change: float) -> bool:

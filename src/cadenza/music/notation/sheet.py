@@ -65,6 +65,8 @@ class Staff:
 class WrittenMeasure:
     """A measure with its staves, the upper first, its dynamic mark if any, tempos and pedal.
 
+    A hairpin begins ("crescendo" or "diminuendo") or ends ("stop") with it if there is a `wedge`.
+
     It begins at the time `begin` [s] and ends at `end`. `key` is the number of sharps of its key
     signature, negative for flats.
     """
@@ -76,6 +78,7 @@ class WrittenMeasure:
     divisions: Divisions
     staves: tuple[Staff, Staff]
     dynamic: str | None
+    wedge: str | None
     tempos: tuple[TempoMark, ...]
     pedal: tuple[PedalMark, ...]
 
@@ -130,7 +133,7 @@ def sheet_of(score: Score) -> Sheet:
         _staves(streams[hand], _USUAL_CLEF[hand], metre, divisions, names, rolls)
         for hand in (RIGHT, LEFT)
     ]
-    marks = dynamics(_by_measure(begins, all_streams, "velocity"))
+    marks, wedges = dynamics(_by_measure(begins, all_streams, "velocity"))
     of_tempo = _grouped(begins, tempos(metre, score.bars))
     of_pedal = _grouped(begins, pedal_marks(score.pedal, metre))
     lines = [*begins, metre.measures[-1].end]
@@ -144,6 +147,7 @@ def sheet_of(score: Score) -> Sheet:
             divisions[i],
             (of_hands[RIGHT][i], of_hands[LEFT][i]),
             marks.get(i),
+            wedges.get(i),
             tuple(of_tempo[i]),
             tuple(of_pedal[i]),
         )
