@@ -49,7 +49,7 @@ DIRECT: Mapping[str, Callable[[], Agent]] = {
     "practised planner": lambda: Planner(PlannerConfig(effort=1.0)),
     "generalist": Generalist,
 }
-PRACTICE, AFTER = "practice", "after ten plays"
+PRACTICE, FIRST, AFTER = "practice", "first of ten plays", "after ten plays"
 
 
 def directly(score: Score, agent: str, profile: Profile, robot: int) -> Mapping[str, Any]:
@@ -69,13 +69,13 @@ def practised(
     plan, episode = nominal.plan, nominal.episode
     first, *_ = learn_in_ten_plays(there, task.view(), plan, episode, known)
     heard = {"f1": first.f1, "note_onset_f1": first.note_onset_f1}
-    return {"first of ten plays": heard, AFTER: there.scored}
+    return {FIRST: heard, AFTER: there.scored}
 
 
 def summary(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Means with intervals, of robots that have played all songs."""
-    rows = []
-    for profile, how in dict.fromkeys((row["profile"], row["how"]) for row in plays):
+    rows, ways = [], [*(f"{agent}, directly" for agent in DIRECT), FIRST, AFTER]
+    for profile, how in product(PROFILES, ways):
         own = [row for row in plays if (row["profile"], row["how"]) == (profile, how)]
         songs = list(dict.fromkeys(row["song"] for row in own))
         found = {(row["robot"], row["song"]): row for row in own}
