@@ -57,6 +57,7 @@ DECIMALS = {
 NAMES = {
     "repertoire:valid": "real music, 15 s each",
     "zero": "hands that stay where they are",
+    "train:fast": "policies, one a piece",
     "predictive-sampling": "predictive sampling, one iteration a step",
     "planner-played-back": "planner, played back",
     "nominal": "plan with feedback",

@@ -74,7 +74,7 @@ def test_the_table_has_the_means_of_each_piece_and_agent(tmp_path):
         name = f"{piece} {agent} {seed}"
         write_result(tmp_path, name, result(piece, agent, seed, {"f1": f1}, title=f"Piece {piece}"))
     shown = words(written(tmp_path).read_text())
-    assert "Piece a made-up 3.0 20 60 one – – 0.600 0.000–1.000 –" in shown
+    assert "Piece a made-up 3.0 20 60 one – – 0.600 0.000 to 1.000 –" in shown
     assert "Piece b made-up 3.0 20 60 two – – 1.000 –" in shown
 
 
