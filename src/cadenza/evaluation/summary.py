@@ -292,7 +292,7 @@ def _group(name: str, pieces: Sequence[int], scores: AllScores) -> Group:
 def _difference(
     scores: AllScores, agent: str, other: str, metric: str, pieces: Sequence[int]
 ) -> Estimate:
-    """By how much an agent is better than another on the pieces that both played."""
+    """How much better an agent is than another on the pieces that both played."""
     ours, theirs = (scores[each][metric] for each in (agent, other))
     common = sorted(_played(ours) & _played(theirs) & set(pieces))
     if not common:
