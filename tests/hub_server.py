@@ -38,9 +38,9 @@ class Hub(ThreadingHTTPServer):
     def commit(self, kind: str, repo: str, files: Files) -> str:
         """Add a commit with these files; return its hash."""
         commits = self.commits.setdefault((kind, repo), {})
-        whole = {**next(reversed(commits.values()), {}), **files}
-        digest = hashlib.sha1(f"{len(commits)} {sorted(whole)}".encode()).hexdigest()
-        commits[digest] = whole
+        content = {**next(reversed(commits.values()), {}), **files}
+        digest = hashlib.sha1(f"{len(commits)} {sorted(content)}".encode()).hexdigest()
+        commits[digest] = content
         return digest
 
 
@@ -114,9 +114,9 @@ class _Requests(BaseHTTPRequestHandler):
         return digest, commits[digest]
 
     def _about(self, kind: str, repo: str, what: str | None, revision: str | None) -> None:
-        if (found := self._found(kind, repo, revision)) is None:
+        if (commit := self._found(kind, repo, revision)) is None:
             return
-        digest, files = found
+        digest, files = commit
         sizes = {name: len(content) for name, content in files.items()}
         if what == "tree":
             listed = [
@@ -130,9 +130,9 @@ class _Requests(BaseHTTPRequestHandler):
             self._json({"id": repo, "sha": digest, "siblings": siblings})
 
     def _file(self, kind: str, repo: str, revision: str, name: str) -> None:
-        if (found := self._found(kind, repo, revision)) is None:
+        if (commit := self._found(kind, repo, revision)) is None:
             return
-        digest, files = found
+        digest, files = commit
         if name not in files:
             self._send(404, error="EntryNotFound")
         else:

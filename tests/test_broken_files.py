@@ -70,7 +70,7 @@ def many(fast: int, slow: int) -> Any:
 
 @many(150, 3000)
 def test_plans(number, performance, tmp_path):
-    whole, path = tmp_path / "whole.safetensors", tmp_path / "plan.safetensors"
+    intact, path = tmp_path / "whole.safetensors", tmp_path / "plan.safetensors"
     options = task_identity(TASK, SCENE, 0)
     hands = Fingers(per_hand=5)
     ctrl = performance.episode["action"][:, :-1]
@@ -78,32 +78,32 @@ def test_plans(number, performance, tmp_path):
     practised = PractisedPlan(
         Tracking(ctrl, expected[1:], expected), Variant(np.array([0, 1]), later)
     )
-    save_plan(whole, performance.episode, performance.metrics, options, SONG, hands, practised)
-    read_back = load_plan(whole).practised
+    save_plan(intact, performance.episode, performance.metrics, options, SONG, hands, practised)
+    read_back = load_plan(intact).practised
     assert read_back is not None
     assert read_back.variant.equals(Variant(np.array([-1, -1]), later))
     for _, rng in draws(number):
-        path.write_bytes(mutations.other_tensors(rng, whole))
+        path.write_bytes(mutations.other_tensors(rng, intact))
         with mutations.at_most_refused():
             load_plan(path).check(options)
 
 
 @many(50, 1000)
 def test_recordings_that_are_played_back(number, performance, tmp_path):
-    whole, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
-    performance.episode.save(whole)
+    intact, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
+    performance.episode.save(intact)
     for _, rng in draws(number):
-        path.write_bytes(other_npz(rng, whole))
+        path.write_bytes(other_npz(rng, intact))
         with mutations.at_most_refused():
             load_plan(path).check({"physics": "published"})
 
 
 @many(30, 2000)
 def test_episodes(number, performance, tmp_path):
-    whole, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
-    performance.episode.save(whole)
+    intact, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
+    performance.episode.save(intact)
     for _, rng in draws(number):
-        path.write_bytes(other_npz(rng, whole))
+        path.write_bytes(other_npz(rng, intact))
         with mutations.at_most_refused():
             episode = load_episode(path)
             page = performance_page(episode, {}, {}, np.zeros((100, 2), np.float32))
@@ -131,12 +131,12 @@ def test_policies(number, song, tmp_path):
 def test_runs(number, tmp_path):
     run = RunFolder(tmp_path)
     run.begin(TrainingConfig(), [SONG])
-    whole = (tmp_path / "run.json").read_bytes()
+    intact = (tmp_path / "run.json").read_bytes()
     for seed, rng in draws(number):
         if seed % 4:
-            changed = mutations.json_bytes(mutations.other_json(rng, json.loads(whole)))
+            changed = mutations.json_bytes(mutations.other_json(rng, json.loads(intact)))
         else:
-            changed = mutations.other_bytes(rng, whole)
+            changed = mutations.other_bytes(rng, intact)
         (tmp_path / "run.json").write_bytes(changed)
         with mutations.at_most_refused():
             config, _ = run.settings()
@@ -154,8 +154,8 @@ def test_figures(number, tmp_path):
         content = list(lines)
         at = rng.integers(len(lines))
         content[at] = mutations.json_bytes(mutations.other_json(rng, json.loads(lines[at])))
-        whole = b"\n".join([*content, b""])
-        changed = whole if seed % 3 else mutations.other_bytes(rng, whole)
+        intact = b"\n".join([*content, b""])
+        changed = intact if seed % 3 else mutations.other_bytes(rng, intact)
         (tmp_path / "metrics.jsonl").write_bytes(changed)
         with mutations.at_most_refused():
             rows = RunFolder(tmp_path).metrics.rows()
@@ -168,8 +168,8 @@ def test_figures(number, tmp_path):
 def test_fingerings(number, tmp_path):
     path = tmp_path / "song.fingering"
     write_fingering(SONG, path)
-    whole = path.read_bytes()
+    intact = path.read_bytes()
     for _, rng in draws(number):
-        path.write_bytes(mutations.other_bytes(rng, whole))
+        path.write_bytes(mutations.other_bytes(rng, intact))
         with mutations.at_most_refused():
             read_fingering(path, SONG)

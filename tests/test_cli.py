@@ -343,13 +343,13 @@ def test_a_film_shows_what_was_played(size, tune, tmp_path):
         assert video.average_rate in (30, 60)  # without a graphics card, with one
         pictures = [frame.to_ndarray(format="rgb24") for frame in file.decode(video)]
         file.seek(0)
-        heard = np.concatenate([frame.to_ndarray() for frame in file.decode(sound)], axis=1)
+        samples = np.concatenate([frame.to_ndarray() for frame in file.decode(sound)], axis=1)
     assert len(pictures) == round(0.25 * video.average_rate)
     greys = np.array([picture.mean(axis=2) for picture in pictures])
     assert greys[0].std() > 20  # there is something to see
     assert np.abs(np.diff(greys, axis=0)).max() > 15  # which moves
-    assert np.abs(heard).max() > 0.05
-    assert heard.shape[1] / sound.rate == pytest.approx(0.25, abs=0.05)
+    assert np.abs(samples).max() > 0.05
+    assert samples.shape[1] / sound.rate == pytest.approx(0.25, abs=0.05)
 
 
 def test_play_leaves_what_it_promises(tune, tmp_path, capsys):

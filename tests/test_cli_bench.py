@@ -83,7 +83,7 @@ def until(what: Callable[[], object]) -> None:
 def under_way(folder: Path, stage: str = "playing") -> list[int]:
     """Processes of runs that are that far."""
     at = [read_progress(run) for run in (folder / "out" / "runs").glob("*")]
-    return [found.pid for found in at if found is not None and found.stage == stage]
+    return [status.pid for status in at if status is not None and status.stage == stage]
 
 
 def in_short(results: BenchResults) -> dict[str, object]:
@@ -105,9 +105,9 @@ def test_those_that_crash_take_nothing_else_with_them(folder, monkeypatch, capsy
     assert "1 of 3 runs finished, 2 failed" in out
     assert "2 of 3 runs failed, as told above; once the causes are mended, add --retry" in err
     assert "3 of 3: " in err
-    found = read_results(folder / "out")
-    assert [result.agent for result in found.results] == ["zero"]
-    reasons = sorted(run.reason for run in found.unfinished)
+    results = read_results(folder / "out")
+    assert [result.agent for result in results.results] == ["zero"]
+    reasons = sorted(run.reason for run in results.unfinished)
     assert ["SIGABRT" in reasons[0], "SIGTERM" in reasons[1]] == [True, True]
 
 
@@ -224,10 +224,10 @@ def test_killed_at_random_it_finishes_with_the_same_results(folder):
         command.kill()
         command.communicate()
     assert "8 of 8 runs finished" in of(started(*chosen))
-    found = read_results(folder / "out")
-    assert not found.broken
+    results = read_results(folder / "out")
+    assert not results.broken
     of(started(*chosen, "-o", "afresh"))
-    assert in_short(found) == in_short(read_results(folder / "afresh"))
+    assert in_short(results) == in_short(read_results(folder / "afresh"))
 
 
 @pytest.mark.slow

@@ -43,8 +43,8 @@ def started(*others: str) -> subprocess.Popen[str]:
 
 def results(folder: Path) -> dict[str, int]:
     """Finished episodes, and when each was finished."""
-    found = (folder / "out" / "runs").glob("*/result.json")
-    return {path.parent.name: path.stat().st_mtime_ns for path in found}
+    results = (folder / "out" / "runs").glob("*/result.json")
+    return {path.parent.name: path.stat().st_mtime_ns for path in results}
 
 
 @pytest.mark.slow

@@ -341,9 +341,9 @@ def test_an_etude_is_written_and_read_back(tmp_path, capsys):
 def test_what_is_not_given_is_drawn_and_said(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["etude"])
-    found = re.match(r"([a-z-]+)-3-(\d+)\.mid: ", capsys.readouterr().out)
-    assert found
-    kind, seed = found[1], found[2]
+    match = re.match(r"([a-z-]+)-3-(\d+)\.mid: ", capsys.readouterr().out)
+    assert match
+    kind, seed = match[1], match[2]
     check_same(load_score(f"{kind}-3-{seed}.mid"), make_etude(kind, 3, int(seed)))
     main(["etude", "--seed", seed])
     assert capsys.readouterr().out.startswith(f"{kind}-3-{seed}.mid: ")

@@ -117,8 +117,8 @@ def test_the_site_plays_is_built_without_warnings_and_its_links_lead_somewhere(t
     assert all(page.stat().st_size < 600_000 + 30_000 * longest for page in played)
     shown = {(tmp_path / target).resolve() for target in Links(tmp_path / "index.html").targets}
     assert played <= shown
-    found = (page for page in tmp_path.rglob("*.html") if "_static" not in page.parts)
-    pages = {page: Links(page) for page in found}
+    written = (page for page in tmp_path.rglob("*.html") if "_static" not in page.parts)
+    pages = {page: Links(page) for page in written}
     assert {tmp_path / page.relative_to(DOCS).with_suffix(".html") for page in PAGES} <= set(pages)
     for page, links in pages.items():
         for target in map(urlsplit, links.targets):

@@ -66,11 +66,11 @@ def shown(tmp_path, monkeypatch):
 
 def framed_in(html: str) -> str:
     """The page in a frame of it, as a browser reads it."""
-    found: list[dict[str, str]] = []
+    outputs: list[dict[str, str]] = []
     parser = HTMLParser()
-    parser.handle_starttag = lambda _, attributes: found.append(dict(attributes))
+    parser.handle_starttag = lambda _, attributes: outputs.append(dict(attributes))
     parser.feed(html)
-    (frame,) = found
+    (frame,) = outputs
     return frame["srcdoc"]
 
 

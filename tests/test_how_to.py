@@ -127,13 +127,13 @@ def test_a_robot(follow: Follow) -> None:
                 if "action" in message:
                     robot.send(np.array(message["action"]))
                 plays += "stop" in message
-                state = {"joints": robot.read().tolist(), "heard": robot.heard()}
+                state = {"joints": robot.read().tolist(), "messages": robot.messages()}
                 other_end.sendto(json.dumps(state).encode(), sender)
 
         thread = threading.Thread(target=answer, daemon=True)
         thread.start()
         main(["practice", "tune.mid", "--robot", "udp_robot:Hands", "-o", "hands"])
         thread.join(5.0)
-    heard = json.loads(Path("hands/robot.json").read_text())["heard"]
-    assert len(heard) == PLAYS + 1
-    assert max(sum(each) for each in heard) > sum(heard[0]) or sum(heard[0]) == 2.0
+    scores = json.loads(Path("hands/robot.json").read_text())["scores"]
+    assert len(scores) == PLAYS + 1
+    assert max(sum(each) for each in scores) > sum(scores[0]) or sum(scores[0]) == 2.0

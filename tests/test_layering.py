@@ -105,13 +105,13 @@ def imports(file: Path) -> Iterator[str]:
 
 def imported_parts(folder: str) -> set[tuple[str, str]]:
     """(file, part of cadenza or library) for all that a folder imports."""
-    found = set()
+    names = set()
     for file in sorted((PACKAGE / folder).rglob("*.py")):
         for name in imports(file):
             parts = name.split(".")
             of_ours = parts[0] == "cadenza"
-            found.add((str(file.relative_to(PACKAGE)), parts[1] if of_ours else f"lib {parts[0]}"))
-    return found
+            names.add((str(file.relative_to(PACKAGE)), parts[1] if of_ours else f"lib {parts[0]}"))
+    return names
 
 
 def test_every_folder_has_its_place():

@@ -28,9 +28,9 @@ def blocks(language: str, page: str = README) -> list[str]:
 def command_lines() -> list[str]:
     listed = [*blocks("sh"), blocks("sh", COMMANDS)[0]]
     lines = [line.split("#")[0].strip() for block in listed for line in block.splitlines()]
-    found = [line for line in lines if line.startswith("cadenza ")]
-    assert len(found) > 20
-    return found
+    commands = [line for line in lines if line.startswith("cadenza ")]
+    assert len(commands) > 20
+    return commands
 
 
 def shortened(arguments: list[str]) -> list[str]:

@@ -186,8 +186,8 @@ def said(
     installer: str = "pip",
 ) -> str:
     texts = {"INSTALLER": installer, "direct_url.json": origin and json.dumps(origin)}
-    found = SimpleNamespace(read_text=texts.get)
-    monkeypatch.setattr(installing, "distribution", lambda _: found)
+    distribution = SimpleNamespace(read_text=texts.get)
+    monkeypatch.setattr(installing, "distribution", lambda _: distribution)
     return install_line(extra)
 
 

@@ -95,9 +95,9 @@ def test_a_checkpoint_gives_back_what_was_saved(folder):
     assert folder.load(Facts) is None
     for step in (1, 2):
         saved(folder, step)
-        found = folder.load(Facts)
-        assert found is not None
-        facts, arrays = found
+        checkpoint = folder.load(Facts)
+        assert checkpoint is not None
+        facts, arrays = checkpoint
         assert facts == Facts(step, 0.1 + 0.2, {"state": 2**127 + 1})
         assert arrays.keys() == ARRAYS.keys()
         for name, array in ARRAYS.items():
@@ -132,9 +132,9 @@ def test_where_there_is_no_room_the_last_checkpoint_still_loads(folder, size):
         folder.errors_of_writing(),
     ):
         saved(folder, 2)
-    found = folder.load(Facts)
-    assert found is not None
-    assert found[0].step == 1
+    facts = folder.load(Facts)
+    assert facts is not None
+    assert facts[0].step == 1
 
 
 def test_what_takes_long_is_done_less_often(monkeypatch):

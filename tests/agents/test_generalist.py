@@ -212,14 +212,14 @@ def test_inputs_are_the_same_by_a_plan_of_what_is_in_sight(scene_of_both, seen):
     keys = plan.goals.keys[now : now + seen]
     nominal = plan.nominal.part(now, now + seen)._replace(presses=presses)
     in_sight = plan._replace(goals=replace(plan.goals, keys=keys), nominal=nominal)
-    whole = plan._replace(
+    longer = plan._replace(
         nominal=plan.nominal.part(0, now + seen)._replace(
             presses=[press for press in plan.nominal.presses if press.first < now + seen]
         )
     )
     state = state_on(plan, now, {39: 0.02, 60: 0.01})
     inputs = CorrectedHands(in_sight).observe(0, state)[0]
-    np.testing.assert_allclose(inputs, CorrectedHands(whole).observe(now, state)[0], atol=1e-6)
+    np.testing.assert_allclose(inputs, CorrectedHands(longer).observe(now, state)[0], atol=1e-6)
 
 
 def test_inputs_say_when_and_how_loud_a_finger_is_to_strike():
@@ -319,19 +319,19 @@ def test_keeps_no_change_that_makes_it_worse(monkeypatch):
 
 
 def test_half_a_second_begins_with_what_the_one_before_found_for_it(monkeypatch):
-    rehearse, found = HandRehearsal.rehearse, list[int]()
+    rehearse, changes = HandRehearsal.rehearse, list[int]()
 
     def noted(
         self: HandRehearsal, goals: HandGoals, tracking: Tracking, steps: Any, *others: Any
     ) -> int:
         if len(known := self.tail):
             np.testing.assert_array_equal(tracking.ctrl[steps[: len(known)]], known)
-            found.append(len(known))
+            changes.append(len(known))
         return rehearse(self, goals, tracking, steps, *others)
 
     monkeypatch.setattr(HandRehearsal, "rehearse", noted)
     play(load_score("MoonlightOpening").beginning(2.0), Generalist(REHEARSED))
-    assert found
+    assert changes
 
 
 def test_rehearses_only_what_goes_wrong(monkeypatch):
@@ -347,17 +347,17 @@ def test_rehearses_only_what_goes_wrong(monkeypatch):
 def test_plays_on_where_a_window_of_the_plan_ends():
     agent = Generalist()
     task = PianoTask([load_score("OdeToJoy").beginning(9.0)], TASK)
-    whole = []
+    trajectories = []
 
     def noted(view: View) -> Array:
         action = act(view)
-        whole.append(agent.planners[0].plan.complete)
+        trajectories.append(agent.planners[0].plan.complete)
         return action
 
     act, agent.act = agent.act, noted  # type: ignore[method-assign]
     assert play_episode(task, agent, 0).metrics["f1"] > 0.95
-    assert not whole[0]
-    assert whole[-1]
+    assert not trajectories[0]
+    assert trajectories[-1]
 
 
 def test_corrects_by_default_what_it_has_learnt_to_correct():

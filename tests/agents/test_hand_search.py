@@ -64,12 +64,12 @@ def test_caught_fingers_get_free(side, white, black):
     for _ in range(25):
         play(hand, as_planned)
     assert not sound()
-    search, heard = search_of(hand), []
+    search, simulated = search_of(hand), []
     search.restart(hand.goals, hand.tracking, 25, np.random.default_rng(0))
     for _ in range(15):
         play(hand, search)
-        heard.append(sound())
-    assert any(heard)
+        simulated.append(sound())
+    assert any(simulated)
 
 
 @pytest.mark.slow
@@ -112,13 +112,13 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts():
     noise = np.random.default_rng(0).standard_normal((10, 1, nominal.shape[1]))
     spread = np.linspace(0.5, 10.0, len(noise))[:, None, None]  # some are soon far off
     candidates = hand.servos.clip(nominal + spread * hand.servos.noise * noise)
-    whole = [rollouts.simulate(ctrl) for ctrl in candidates]
-    cutoff = float(np.median([rollout.cost for rollout in whole]))
+    full = [rollouts.simulate(ctrl) for ctrl in candidates]
+    cutoff = float(np.median([rollout.cost for rollout in full]))
     cut = [rollouts.simulate(ctrl, cutoff) for ctrl in candidates]
-    kept = [pair for pair in zip(whole, cut, strict=True) if np.isfinite(pair[1].cost)]
+    kept = [pair for pair in zip(full, cut, strict=True) if np.isfinite(pair[1].cost)]
     assert 0 < len(kept) < len(candidates)
     assert all(before[:3] == after[:3] for before, after in kept)
-    assert min(rollout.cost for rollout in whole) == min(rollout.cost for rollout in cut)
+    assert min(rollout.cost for rollout in full) == min(rollout.cost for rollout in cut)
 
 
 @pytest.mark.slow

@@ -97,9 +97,9 @@ def test_faults_of_notes_are_those_of_note_onset_f1(seed):
     loudness, pedal = np.full_like(onset, 60.0), np.zeros(steps, bool)
     played = performed_score(sounding, pedal, DT, key_events(onset, offset, loudness))
     written_notes = sorted(task.score(0).notes, key=lambda note: note.start)
-    found = len(matched_notes(written_notes, played.notes, 0.05))
-    assert 5 < found < len(notes)
-    assert faults == len(notes) + len(played.notes) - 2 * found
+    matches = len(matched_notes(written_notes, played.notes, 0.05))
+    assert 5 < matches < len(notes)
+    assert faults == len(notes) + len(played.notes) - 2 * matches
 
 
 def test_a_strike_loses_by_its_time_and_speed_but_less_than_a_key_or_an_onset():

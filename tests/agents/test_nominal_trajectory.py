@@ -56,7 +56,7 @@ def test_windows_begin_with_what_was_found_for_the_same_steps(monkeypatch):
     solved = watched(monkeypatch, nominal_trajectory, "solve_postures")
     whole_plan(melody(*[64, 79, 67, 84, 72, 71] * 3, length=0.3))
     begins = [given[6] - given[2] for given, _ in solved]
-    improved = [found - given[2] for given, found in solved]
+    improved = [later - given[2] for given, later in solved]
     assert len(begins) > 2
     assert not begins[0].any()
     overlap = 30  # steps
@@ -236,7 +236,7 @@ def test_least_squares_over_all_steps_at_once(alone):
     ).T
     root = np.repeat(np.sqrt(weight), 3, axis=1).ravel() / CONTROL_TOLERANCE
     rows = np.concatenate([root[:, None] * response, np.diag(np.tile(1 / servos.noise, STEPS))])
-    wanted = np.concatenate([root * off.ravel(), np.zeros(STEPS * count)])
-    expected = np.linalg.lstsq(rows, wanted, rcond=None)[0].reshape(STEPS, count)
-    found = control_update(off, weight, motion, gain, servos, DT)
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    targets = np.concatenate([root * off.ravel(), np.zeros(STEPS * count)])
+    expected = np.linalg.lstsq(rows, targets, rcond=None)[0].reshape(STEPS, count)
+    update = control_update(off, weight, motion, gain, servos, DT)
+    np.testing.assert_allclose(update, expected, atol=1e-9)

@@ -26,7 +26,7 @@ from cadenza.tasks.goal_track import GoalTrack
 
 THUMB, INDEX, LEFT_THUMB = 0, 1, 5
 SONG = Score(tuple(Note(0.5 * i, 0.5 * i + 0.4, 60 + i % 7, 80, Finger(0, 0)) for i in range(16)))
-TRACK = GoalTrack(SONG, (), TaskConfig(initial_buffer_time=0.5), build_scene(), found=True)
+TRACK = GoalTrack(SONG, (), TaskConfig(initial_buffer_time=0.5), build_scene(), searched=True)
 STEPS = TRACK.goals.num_steps
 STRIKES = [TRACK.first_step(note) for note in SONG.notes]
 USUAL = Variant(np.full(len(SONG.notes), THUMB), np.zeros((STEPS, 2), np.int8))
@@ -222,14 +222,14 @@ def test_each_hand_keeps_the_better_of_each_window(seed):
             theirs = other.loss[rows, hand].sum() < one.loss[rows, hand].sum()
             kept = other if theirs and not excluded[rows, hand].any() else one
             for name in ("ctrl", "expected"):
-                there, wanted = (getattr(each, name)[rows, servos] for each in (best, kept))
-                np.testing.assert_array_equal(there, wanted)
+                there, expected = (getattr(each, name)[rows, servos] for each in (best, kept))
+                np.testing.assert_array_equal(there, expected)
             for name in ("loss", "faults", "strike_loss"):
-                there, wanted = (getattr(each, name)[rows, hand] for each in (best, kept))
-                np.testing.assert_array_equal(there, wanted)
-            mine = goals[hand].keys[0]
+                there, expected = (getattr(each, name)[rows, hand] for each in (best, kept))
+                np.testing.assert_array_equal(there, expected)
+            own_keys = goals[hand].keys[0]
             for name in ("sounding", "onset", "offset"):
-                there, wanted = (getattr(each, name)[rows, mine] for each in (best, kept))
-                np.testing.assert_array_equal(there, wanted)
+                there, expected = (getattr(each, name)[rows, own_keys] for each in (best, kept))
+                np.testing.assert_array_equal(there, expected)
     for was, now in zip(before, one, strict=True):
         np.testing.assert_array_equal(was, now)  # the trajectories stay as they are

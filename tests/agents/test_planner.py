@@ -170,5 +170,5 @@ def test_a_thumb_strikes_in_time_without_a_search():
     config = PlannerConfig(method="none", fingering="score")
     episode = perform(score, config, hands="right").episode
     first = np.flatnonzero(np.diff(episode["goal_keys"].any(axis=1).astype(int)) == 1) + 1
-    heard = episode["key_activation"][first] & episode["goal_keys"][first].astype(bool)
-    assert heard.any(axis=1).sum() >= 6
+    sounding = episode["key_activation"][first] & episode["goal_keys"][first].astype(bool)
+    assert sounding.any(axis=1).sum() >= 6

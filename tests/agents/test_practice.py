@@ -125,10 +125,10 @@ def changed(practised: Practice, tmp_path: Path, **arrays: NDArray[Any] | None) 
 
 
 def assert_same(one: Practice, other: Practice) -> None:
-    mine, others = one.state(), other.state()
-    assert mine.keys() == others.keys()
-    for name in mine:
-        np.testing.assert_array_equal(mine[name], others[name], name)
+    state, others = one.state(), other.state()
+    assert state.keys() == others.keys()
+    for name in state:
+        np.testing.assert_array_equal(state[name], others[name], name)
 
 
 @pytest.fixture(scope="module")
@@ -190,12 +190,12 @@ def test_it_plays_more_in_time_and_as_loud_as_written():
     """Of a song of which no key is missed."""
     times = zip((0.0, 0.42, 0.83), (40, 90, 60), EASY.notes, strict=True)
     score = Score(tuple(replace(n, start=t, end=t + 0.3, velocity=v) for t, v, n in times))
-    one, heard = practice(score=score), []
+    one, stages = practice(score=score), []
     for effort in 0.0, EFFORT:
         one.run(effort)
-        heard.append(best_played(one, score))
-        assert (heard[-1]["f1"], heard[-1]["note_onset_f1"]) == (1.0, 1.0)
-    before, after = heard
+        stages.append(best_played(one, score))
+        assert (stages[-1]["f1"], stages[-1]["note_onset_f1"]) == (1.0, 1.0)
+    before, after = stages
     assert after["onset_error_90"] < before["onset_error_90"]
     assert after["velocity_error"] < before["velocity_error"]
 
@@ -356,20 +356,20 @@ def test_only_notes_that_are_wrong_are_not_yet_right(tmp_path, capsys):
         write_midi(Score(tuple(leaps)), tmp_path / "leaps.mid")
         options = ["--effort", "0", "--hands", "right", "--planner.method", "none", "-o"]
         main(["practice", str(tmp_path / "leaps.mid"), *options, str(tmp_path / str(far))])
-        said = capsys.readouterr().out
-        assert "F1 1.000, note" not in said  # keys are silent that should sound
-        assert ("note onset F1 1.000" in said) == is_right
-        assert ("not yet right" in said) != is_right
+        output = capsys.readouterr().out
+        assert "F1 1.000, note" not in output  # keys are silent that should sound
+        assert ("note onset F1 1.000" in output) == is_right
+        assert ("not yet right" in output) != is_right
 
 
 def test_the_planner_practises_before_it_plays():
     planner = Planner(replace(NO_SEARCH, effort=0.01))
     planner.num_threads = 1
-    told = []
+    messages = []
     result = play_episode(
-        PianoTask([HARD], QUICK), planner, 0, lambda stage, *_: told.append(stage)
+        PianoTask([HARD], QUICK), planner, 0, lambda stage, *_: messages.append(stage)
     )
-    stages = [stage for stage in dict.fromkeys(told) if stage in STAGES]
+    stages = [stage for stage in dict.fromkeys(messages) if stage in STAGES]
     assert stages == list(STAGES)
     assert result.metrics["f1"] > 0.5
 
@@ -449,8 +449,8 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
     before = (tmp_path / "hard" / "practice.safetensors").read_bytes()
     main(["practice", "--resume", "../hard", "--effort", "0.05", *quick[:2]])
     assert (tmp_path / "hard" / "practice.safetensors").read_bytes() != before
-    said = refused(capsys, "play", "OdeToJoy", "--agent", "../hard")
-    assert "../hard: has practised 'hard', and can play nothing else" in said
+    message = refused(capsys, "play", "OdeToJoy", "--agent", "../hard")
+    assert "../hard: has practised 'hard', and can play nothing else" in message
     main(["play", "../hard.mid", "--agent", "../hard", "-o", "played", *quick[:2]])  # the same song
 
 
@@ -462,10 +462,10 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(tmp_
     options = ["--hands", "right", "--planner.method", "none", "--no-video", "-o", str(folder)]
     options += ["--arrange", "off"]
     main(["practice", "--effort", "0.1", str(tmp_path / "apart.mid"), *options])
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     main(["play", "--agent", str(folder), "--no-video", "-o", str(out)])
     again = capsys.readouterr().out
-    (verdict,) = [line for line in said.splitlines() if "in time (within 50 ms)" in line]
+    (verdict,) = [line for line in output.splitlines() if "in time (within 50 ms)" in line]
     assert verdict in again
     before, after = (load_episode(each / "episode.npz").arrays for each in (folder, out))
     assert before.keys() == after.keys()
@@ -503,10 +503,10 @@ def test_another_song_than_the_practised_one_is_told(practised):
 def test_the_planner_practises_in_the_folder_of_what_it_plays(tmp_path, capsys):
     short = "--first-seconds", "0.6"
     folder = folder_of(tmp_path, "--effort", "0.01", *short)
-    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("effort")]
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("effort")]
     more = [*short, "--planner.effort", "0.01", "-o", str(tmp_path / "played")]
     main(["play", str(tmp_path / "hard.mid"), *USUAL, *more])
-    assert [line for line in capsys.readouterr().out.splitlines() if line in said] == said
+    assert [line for line in capsys.readouterr().out.splitlines() if line in lines] == lines
     for read, name in (
         (lambda path: read_tensors(path, ANY, 2**28)[0], "practice.safetensors"),
         (lambda path: read_tensors(path, ANY, 2**28)[0], "plan.safetensors"),
@@ -572,25 +572,25 @@ def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
     write_midi(HARD, tmp_path / "hard.mid")
     usual = "--no-video", "--num-threads", "1", "--planner.method", "none"
     main(["practice", str(tmp_path / "hard.mid"), "-o", str(tmp_path), "--effort", "0.02", *usual])
-    said = capsys.readouterr().err.splitlines()
-    shown = [line.split(",")[0] for line in said if line.startswith(("first take", "practising"))]
+    lines = capsys.readouterr().err.splitlines()
+    shown = [line.split(",")[0] for line in lines if line.startswith(("first take", "practising"))]
     assert shown[0] == "first take: 20 of 35 steps"  # a second of it
     assert shown[1].startswith("practising")
     assert not any(line.startswith("first take") for line in shown[1:])
 
 
 def test_what_is_finished_after_the_effort_is_shown_until_its_end():
-    done, told = practice(score=LONG), list[tuple[str, int, int]]()
+    done, progress = practice(score=LONG), list[tuple[str, int, int]]()
 
     def goes_on() -> bool:
-        told.append(done.progress(0.002))
+        progress.append(done.progress(0.002))
         return True
 
     done.run(0.002, goes_on)
-    stages = list(dict.fromkeys(stage for stage, _, _ in told))
+    stages = list(dict.fromkeys(stage for stage, _, _ in progress))
     assert stages == ["first take", "practising", "finishing a take"]
-    assert ("practising", 100, 100) not in told
-    finishing = [(played, of) for stage, played, of in told if stage == stages[-1]]
+    assert ("practising", 100, 100) not in progress
+    finishing = [(played, of) for stage, played, of in progress if stage == stages[-1]]
     assert finishing == sorted(set(finishing))  # goes forward, up to
     assert finishing[-1][1] == done.num_steps
     assert done.progress(0.002) == ("practising", 100, 100)
@@ -614,15 +614,17 @@ def test_what_is_finished_after_the_effort_is_shown_until_its_end():
     ],
 )
 def test_practice_that_cannot_be_is_refused(
-    words, said, begun_folder, tmp_path, monkeypatch, capsys
+    words, message, begun_folder, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     write_midi(EASY, Path("easy.mid"))
-    told = shutil.ignore_patterns("practice.json", "settings.json")  # how it was practised
-    shutil.copytree(begun_folder, "silent", ignore=told)
+    without_settings = shutil.ignore_patterns(
+        "practice.json", "settings.json"
+    )  # how it was practised
+    shutil.copytree(begun_folder, "silent", ignore=without_settings)
     with locked(tmp_path / "taken"):
         given = [begun_folder if word == "BEGUN" else word for word in words]
-        assert said in refused(capsys, *given)
+        assert message in refused(capsys, *given)
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path, monkeypatch):
@@ -639,10 +641,10 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path, monkeypatch):
         folder_of(tmp_path)
     assert stop.value.code == 130
     assert load_episode(tmp_path / "practised" / "episode.npz").num_steps > 20
-    monkeypatch.setattr(Practice, "run", lambda self, *_: found.append(self.history))
-    found: list[Any] = []
+    monkeypatch.setattr(Practice, "run", lambda self, *_: variants.append(self.history))
+    variants: list[Any] = []
     folder_of(tmp_path)
-    assert [len(history) for history in found] == [1]
+    assert [len(history) for history in variants] == [1]
 
 
 def test_ctrl_c_while_results_are_written_writes_them_all(tmp_path, monkeypatch):

@@ -26,11 +26,11 @@ def test_presses_are_the_goals(seed):
     rng = np.random.default_rng(seed)
     fingers = np.where(rng.random((30, 88)) < 0.05, rng.integers(0, 10, (30, 88)), -1)
     fingers = np.repeat(fingers, 2, axis=0).astype(np.int8)
-    found = np.full_like(fingers, -1)
+    pressing = np.full_like(fingers, -1)
     for press in presses_of(fingers, FIVE):
-        assert (found[press.first - 1 : press.last - 1, press.key] == -1).all()
-        found[press.first - 1 : press.last - 1, press.key] = press.finger
-    np.testing.assert_array_equal(found, fingers)
+        assert (pressing[press.first - 1 : press.last - 1, press.key] == -1).all()
+        pressing[press.first - 1 : press.last - 1, press.key] = press.finger
+    np.testing.assert_array_equal(pressing, fingers)
 
 
 def places(rest_y: np.ndarray) -> np.ndarray:
@@ -200,8 +200,8 @@ def test_letting_go_is_that_of_plain_loops(seed):
     ]
     rest = SHADOW.reach.rest
     there = places(np.concatenate([rest, -rest]))
-    found = let_go(presses, there)
-    unmarked = [press._replace(jumps_off=False, jumps_to=False) for press in found]
+    shortened = let_go(presses, there)
+    unmarked = [press._replace(jumps_off=False, jumps_to=False) for press in shortened]
     assert unmarked == let_go_one_by_one(presses, there, 0.05)
 
 

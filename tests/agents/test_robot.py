@@ -15,7 +15,7 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.robot.closed_loop import ClosedLoop
 from cadenza.agents.robot.places import HandPlaces
 from cadenza.agents.robot.practice import RobotPractice, Take
-from cadenza.agents.robot.protocol import CheckedRobot, Heard, in_turn, notes_heard, play
+from cadenza.agents.robot.protocol import CheckedRobot, Message, in_turn, notes_heard, play
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.agents.rollout import EpisodeResult, begin_episodes, play_episode
@@ -80,13 +80,13 @@ def test_what_is_heard_is_scored_as_what_is_true(nominal: EpisodeResult) -> None
     true = env.task.played(0).notes
     assert [note.pitch for note in take.notes] == [note.pitch for note in true]
     drawn = env.task.drawn["observation_latency"][0]
-    heard = [(note.start + 0.01 - drawn, note.velocity) for note in take.notes]
-    assert_allclose(heard, [(note.start, note.velocity) for note in true], atol=1e-6)
+    strikes = [(note.start + 0.01 - drawn, note.velocity) for note in take.notes]
+    assert_allclose(strikes, [(note.start, note.velocity) for note in true], atol=1e-6)
 
 
 def test_notes_that_bounce_go_on() -> None:
     messages = [(0.1, 60, 70), (0.2, 60, 0), (0.21, 60, 50), (0.4, 60, 0), (0.5, 62, 40)]
-    notes = notes_heard([Heard(*message) for message in messages], 1.0, late=0.1)
+    notes = notes_heard([Message(*message) for message in messages], 1.0, late=0.1)
     assert [(n.start, n.end, n.pitch, n.velocity) for n in notes] == [
         (0.0, pytest.approx(0.3), 60, 70),
         (0.4, 1.0, 62, 40),
@@ -112,8 +112,8 @@ def test_servos_respond_as_in_simulation_and_controls_undo_it(late: float) -> No
             moved.append((simulation.state.hand_qpos[0] @ servos.of_joints - start)[thumb])
         assert_allclose(moved, response.to(one)[:, thumb], atol=0.006)
     expected = response.to(one)
-    found = response.controls(np.zeros_like(one), expected, 1e-6 * same)
-    assert_allclose(response.to(found), expected, atol=1e-3)
+    estimate = response.controls(np.zeros_like(one), expected, 1e-6 * same)
+    assert_allclose(response.to(estimate), expected, atol=1e-3)
 
 
 def test_slow_servos_begin_earlier() -> None:
@@ -136,9 +136,9 @@ def test_it_is_found_how_late_and_slow_servos_are() -> None:
     true = Response(0.065, rng.choice([0.6, 1.0, 1.7], len(same)), 0.085 * same)
     response = ServoResponse(servos, DT, true)
     moved = response.to(response.limited(sent)) + 0.001 * rng.standard_normal(sent.shape)
-    found = identified(servos, DT, [(sent, moved)], 0.1 * same)
-    assert found.late == pytest.approx(true.late, abs=0.011)
-    assert_allclose(found.fastest, true.fastest)
+    estimate = identified(servos, DT, [(sent, moved)], 0.1 * same)
+    assert estimate.late == pytest.approx(true.late, abs=0.011)
+    assert_allclose(estimate.fastest, true.fastest)
 
 
 def test_the_generalist_finds_how_servos_respond_while_it_plays() -> None:
@@ -191,7 +191,7 @@ def test_the_command_keeps_what_was_played(
     lines = capsys.readouterr().out.splitlines()
     assert [line[:7] for line in lines[:PLAYS]] == [f"play {i}:"[:7] for i in range(1, PLAYS + 1)]
     about = json.loads((out / "robot.json").read_text())
-    assert len(about["heard"]) == PLAYS + 1
+    assert len(about["scores"]) == PLAYS + 1
     assert about["metrics"]["note_onset_f1"] >= 0.5
     assert (out / "plays.safetensors").is_file()
 
@@ -206,8 +206,8 @@ def test_what_goes_with_no_robot_is_refused(tmp_path: Path) -> None:
 class Driver:
     """A driver that measures and hears what it is told to."""
 
-    def __init__(self, joints: object = (0.0, 0.0), heard: object = ()) -> None:
-        self.joints, self.messages = joints, heard
+    def __init__(self, joints: object = (0.0, 0.0), messages: object = ()) -> None:
+        self.joints, self.sent = joints, messages
 
     def start(self) -> None: ...
 
@@ -218,8 +218,8 @@ class Driver:
     def read(self) -> object:
         return self.joints
 
-    def heard(self) -> object:
-        return self.messages
+    def messages(self) -> object:
+        return self.sent
 
 
 def checked(driver: Driver) -> CheckedRobot:
@@ -227,15 +227,15 @@ def checked(driver: Driver) -> CheckedRobot:
 
 
 def test_what_a_driver_says_is_checked() -> None:
-    heard = checked(Driver(heard=[[0.1, 72.0, 64.0], (0.2, np.int64(72), 0)])).heard()
-    assert heard == [Heard(0.1, 72, 64.0), Heard(0.2, 72, 0.0)]
-    assert isinstance(heard[0].pitch, int)
+    messages = checked(Driver(messages=[[0.1, 72.0, 64.0], (0.2, np.int64(72), 0)])).messages()
+    assert messages == [Message(0.1, 72, 64.0), Message(0.2, 72, 0.0)]
+    assert isinstance(messages[0].pitch, int)
     for joints in ([0.0], 0.0, [0.0, np.nan]):
         with pytest.raises(CadenzaError, match=r"^robot hands: read\(\) returned numbers of shape"):
             checked(Driver(joints)).read()
     for message in ((0.1, 72.5, 64), (0.1, 128, 64), (np.inf, 72, 64), (0.1, 72, 200)):
-        with pytest.raises(CadenzaError, match=r"^robot hands: heard\(\) returned"):
-            checked(Driver(heard=[message])).heard()
+        with pytest.raises(CadenzaError, match=r"^robot hands: messages\(\) returned"):
+            checked(Driver(messages=[message])).messages()
 
 
 def test_a_lost_connection_says_of_what() -> None:

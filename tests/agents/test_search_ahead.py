@@ -90,8 +90,8 @@ def test_another_process_finds_the_same_bits(pushed):
                 qpos, qvel, keys = hand.joint_state
                 hand.simulation.set_joints(qpos + 0.03, qvel, keys)
         ctrl = ahead.act(HandState(step, *here.joint_state))
-        found = elsewhere.act(HandState(step, *there.joint_state))
-        np.testing.assert_array_equal(found, ctrl)
+        action = elsewhere.act(HandState(step, *there.joint_state))
+        np.testing.assert_array_equal(action, ctrl)
         here.simulation.step(ctrl[None])
         there.simulation.step(ctrl[None])
 

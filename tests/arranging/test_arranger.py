@@ -34,15 +34,15 @@ def arranged(song, arranger):
     return arranger.arrange(load_score(song))
 
 
-def share_found(wanted: tuple[Note, ...], score: Score, octaves: bool = False) -> float:
+def share_found(notes: tuple[Note, ...], score: Score, octaves: bool = False) -> float:
     """The share of notes of which one begins within 0.06 s in the score."""
     pitches = 12 if octaves else 128
     start = np.array([note.start for note in score.notes])
     pitch = np.array([note.pitch for note in score.notes]) % pitches
-    found = [
-        (np.abs(start[pitch == note.pitch % pitches] - note.start) < 0.06).any() for note in wanted
+    matches = [
+        (np.abs(start[pitch == note.pitch % pitches] - note.start) < 0.06).any() for note in notes
     ]
-    return float(np.mean(found))
+    return float(np.mean(matches))
 
 
 def test_melody_and_bass_stay(song, arranged):

@@ -65,11 +65,11 @@ def collected(
     **task: Any,
 ) -> list[Path]:
     """The folders of the episodes."""
-    found = []
+    recorded = []
     for job in jobs(folder, variation, episodes, least_f1, scene, **task):
-        found.append(folder / RUNS / job.spec.name)
-        record(job, found[-1], num_threads=1)
-    return found
+        recorded.append(folder / RUNS / job.spec.name)
+        record(job, recorded[-1], num_threads=1)
+    return recorded
 
 
 def differences(recorded: RecordedEpisode, scene: Scene) -> set[str]:

@@ -204,9 +204,9 @@ def test_work_for_an_excerpt_is_proportional_to_the_length_of_the_song(monkeypat
         return last(score)
 
     monkeypatch.setattr(Score, "total_time", property(noted))
-    found = []
+    names = []
     for count in (20, 400):
         looks = 0
         excerpt(Score(tuple(Note(i / 2, i / 2 + 0.5, 60) for i in range(count))), 4.0, 0.5)
-        found.append(looks)
-    assert found[0] == found[1] > 0
+        names.append(looks)
+    assert names[0] == names[1] > 0

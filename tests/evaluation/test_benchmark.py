@@ -46,17 +46,17 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from refusals import refused
 
-MINE = "mine"
+OWN = "mine"
 QUICK = PlannerConfig(num_candidates=4, iterations=1)
 LEAP = 17  # semitones in a tenth of a second, which no hand plays without a fault
 PITCHES = {"low": 60, "high": 67}
-ABOUT = {"songs": MINE, "track": "planning", "about": "learnt from nothing", "by": "us"}
+ABOUT = {"songs": OWN, "track": "planning", "about": "learnt from nothing", "by": "us"}
 NESTED = 1300  # folders, or lists: deeper than Python calls functions
 
 
 def import_songs(pitches: dict[str, int]) -> None:
     """Import the library `mine`, of songs of three notes."""
-    with new_library(MINE, replace=True) as library:
+    with new_library(OWN, replace=True) as library:
         for name, pitch in pitches.items():
             score = Score(tuple(Note(i / 10, (i + 1) / 10, pitch + i * LEAP) for i in range(3)))
             write_midi(score, library.folder / f"{name}.mid")
@@ -67,7 +67,7 @@ def played(folder: Path, scene: SceneConfig = SCENE, agent: str = "planner") -> 
     """A bench of the songs with two seeds, played in this process."""
     config = QUICK if agent == "planner" else None
     contender = Contender(agent, TASK, scene, config)
-    jobs = bench_jobs(open_library(MINE), lambda _: [contender], [0, 1], Arrangement(), "none")
+    jobs = bench_jobs(open_library(OWN), lambda _: [contender], [0, 1], Arrangement(), "none")
     for job in jobs:
         carry_out(job, folder / RUNS / job.spec.name, 1)
     return folder
@@ -94,13 +94,13 @@ def entry(made, tmp_path):
     return Path(shutil.copytree(made, tmp_path / "entry"))
 
 
-def said_in(entry: Path) -> dict[str, Any]:
+def content_of(entry: Path) -> dict[str, Any]:
     content: dict[str, Any] = json.loads((entry / ENTRY).read_text())
     return content
 
 
 def first_actions(entry: Path) -> Path:
-    run = said_in(entry)["runs"][0]
+    run = content_of(entry)["runs"][0]
     return actions_path(entry, run["song"], run["seed"])
 
 
@@ -197,7 +197,7 @@ def test_what_is_no_set(name):
 def test_an_imported_library_cannot_pass_for_a_public_set(tmp_path, monkeypatch, name):
     monkeypatch.setenv("CADENZA_DATA", str(tmp_path))
     import_songs(PITCHES)
-    (tmp_path / "libraries" / MINE).rename(tmp_path / "libraries" / name.partition(":")[0])
+    (tmp_path / "libraries" / OWN).rename(tmp_path / "libraries" / name.partition(":")[0])
     with pytest.raises(CadenzaError, match="an imported library has its name"):
         open_set(name)
 
@@ -210,7 +210,9 @@ def test_an_honest_entry_is_verified_to_the_bit(made):
     assert played.differences == []
     assert len(played.metrics) == 4
     assert all(0 < metrics["f1"] < 1 for metrics in played.metrics.values())
-    assert played.metrics == {(r["song"], r["seed"]): r["metrics"] for r in said_in(made)["runs"]}
+    assert played.metrics == {
+        (r["song"], r["seed"]): r["metrics"] for r in content_of(made)["runs"]
+    }
 
 
 def test_actions_beyond_the_range_of_a_servo_play_as_those_within(bench, tmp_path):
@@ -234,7 +236,7 @@ def says(do: Callable[[dict[str, Any]], object]) -> Forge:
     """Changes what an entry says."""
 
     def forge(entry: Path) -> None:
-        content = said_in(entry)
+        content = content_of(entry)
         do(content)
         (entry / ENTRY).write_text(json.dumps(content))
 
@@ -242,11 +244,11 @@ def says(do: Callable[[dict[str, Any]], object]) -> Forge:
 
 
 def run_says(number: int = 0, **changed: Any) -> Forge:
-    return says(lambda said: said["runs"][number].update(changed))
+    return says(lambda entry: entry["runs"][number].update(changed))
 
 
 def metric(name: str, value: float | None, number: int = 0) -> Forge:
-    return says(lambda said: said["runs"][number]["metrics"].update({name: value}))
+    return says(lambda entry: entry["runs"][number]["metrics"].update({name: value}))
 
 
 def acts(changed: Callable[[Any], Any]) -> Forge:
@@ -276,7 +278,7 @@ def piped(entry: Path) -> None:
 
 def easier_song(entry: Path) -> None:
     """Both songs are as long, so that only what is heard tells them apart."""
-    content = said_in(entry)
+    content = content_of(entry)
     one, other = (next(r for r in content["runs"] if name in r["song"]) for name in PITCHES)
     shutil.copy(*(actions_path(entry, run["song"], run["seed"]) for run in (one, other)))
     other["metrics"] = one["metrics"]
@@ -284,11 +286,11 @@ def easier_song(entry: Path) -> None:
 
 
 def another_engine(entry: Path) -> None:
-    says(lambda said: said["versions"].update(mujoco="warp 9"))(entry)
-    metric("f1", said_in(entry)["runs"][0]["metrics"]["f1"] + 0.001)(entry)
+    says(lambda content: content["versions"].update(mujoco="warp 9"))(entry)
+    metric("f1", content_of(entry)["runs"][0]["metrics"]["f1"] + 0.001)(entry)
 
 
-def said_twice(entry: Path) -> None:
+def with_a_name_twice(entry: Path) -> None:
     """Since readers of JSON differ in which one they take."""
     text = (entry / ENTRY).read_text()
     (entry / ENTRY).write_text(text.replace('"track":', '"track": "at-sight", "track":', 1))
@@ -319,7 +321,7 @@ FORGERIES: list[tuple[str, Forge, str]] = [
     ("negative time", run_says(cpu_seconds=-1.0), "CPU time is not"),
     ("two lines", says(lambda s: s.update(name="a\nb")), "on one line"),
     ("long name", says(lambda s: s.update(name="x" * 1000)), "characters"),
-    ("two tracks", said_twice, "has a name twice"),
+    ("two tracks", with_a_name_twice, "has a name twice"),
     ("nested", lambda e: (e / ENTRY).write_text("[" * NESTED + "]" * NESTED), "not JSON"),
     # Actions
     ("other actions", acts(np.zeros_like), " is "),
@@ -356,7 +358,7 @@ def test_a_forged_entry_is_not_verified(entry, forge, why):
 def test_whatever_is_wrong_is_refused_or_changes_no_metric(entry, seed):
     rng = np.random.default_rng(seed)
     if seed % 3:
-        content = mutations.json_bytes(mutations.other_json(rng, said_in(entry)))
+        content = mutations.json_bytes(mutations.other_json(rng, content_of(entry)))
         (entry / ENTRY).write_bytes(content)
     else:
         path = first_actions(entry)
@@ -364,7 +366,7 @@ def test_whatever_is_wrong_is_refused_or_changes_no_metric(entry, seed):
         path.write_bytes(mutations.tensor_bytes(arrays))
     with mutations.at_most_refused():
         played = verify(entry)
-        facts = {(run["song"], run["seed"]): run["metrics"] for run in said_in(entry)["runs"]}
+        facts = {(run["song"], run["seed"]): run["metrics"] for run in content_of(entry)["runs"]}
         assert played.differences or played.metrics == facts
 
 
@@ -419,9 +421,7 @@ def test_runs_of_several_agents_or_with_one_missing(bench, tmp_path):
 def test_an_agent_observes_the_same_in_all_songs(bench, tmp_path):
     """Or else an entry could say that nobody gave it fingers, which were given in some songs."""
     hides = {"fingering": "robot"}
-    copy = rewritten(
-        bench, tmp_path / "b", f"{MINE}-high--*", lambda job: job["task"].update(hides)
-    )
+    copy = rewritten(bench, tmp_path / "b", f"{OWN}-high--*", lambda job: job["task"].update(hides))
     with pytest.raises(CadenzaError, match="has other options than in other runs"):
         enter(copy, tmp_path / "entry", **ABOUT)
 
@@ -439,7 +439,7 @@ def table_of(folder: Path, *entries: Path) -> tuple[list[dict[str, str]], str]:
 def test_what_is_not_computed_to_the_bit_is_ranked_as_unverified(made, entry, tmp_path):
     """Below all that is, with metrics that were computed here, whatever engine it names."""
     another_engine(entry)
-    says(lambda said: said.update(name="A warp"))(entry)
+    says(lambda content: content.update(name="A warp"))(entry)
     rows, text = table_of(tmp_path / "out", entry, made)
     assert [row["status"] for row in rows] == ["verified", "unverified"]
     assert rows[0]["f1"] == rows[1]["f1"] != ""
@@ -525,7 +525,7 @@ def test_the_files_of_the_table_take_text_as_text(entry, tmp_path):
 
 def test_a_person_enters_and_verifies(bench, tmp_path, capsys):
     entry = str(tmp_path / "entry")
-    chosen = ["--songs", MINE, "--track", "planning", "--about", "nothing", "-o", entry]
+    chosen = ["--songs", OWN, "--track", "planning", "--about", "nothing", "-o", entry]
     main(["enter", str(bench), *chosen])
     main(["verify", entry])
     verified = ": verified, planner in planning on mine, 4 runs: note onset F1 "

@@ -60,19 +60,19 @@ def test_what_is_corrupt_is_told_and_left_out(tmp_path, finished, text):
     for name, written in zip(names, (text, finished, finished[:-30]), strict=True):
         (tmp_path / "runs" / name).mkdir(parents=True)
         (tmp_path / "runs" / name / "result.json").write_text(written)
-    found = read_results(tmp_path)
-    assert [result.folder.name for result in found.results] == [names[1]]
-    assert [without.name for without in found.broken] == [names[0], names[2]]
-    assert all("\n" not in run.reason for run in found.broken)
+    results = read_results(tmp_path)
+    assert [result.folder.name for result in results.results] == [names[1]]
+    assert [without.name for without in results.broken] == [names[0], names[2]]
+    assert all("\n" not in run.reason for run in results.broken)
 
 
 def test_a_run_that_was_copied_does_not_count_twice(tmp_path, finished):
     for name in job().spec.name, f"{job().spec.name} copy":
         (tmp_path / "runs" / name).mkdir(parents=True)
         (tmp_path / "runs" / name / "result.json").write_text(finished)
-    found = read_results(tmp_path)
-    assert [result.folder.name for result in found.results] == [job().spec.name]
-    (broken,) = found.broken
+    results = read_results(tmp_path)
+    assert [result.folder.name for result in results.results] == [job().spec.name]
+    (broken,) = results.broken
     assert "does not belong to its folder" in broken.reason
 
 
@@ -96,9 +96,9 @@ def test_what_is_not_of_this_format_is_told(tmp_path, finished):
     for name, change in changes.items():
         (tmp_path / "runs" / name).mkdir(parents=True)
         (tmp_path / "runs" / name / "result.json").write_text(content(finished, **change))
-    found = read_results(tmp_path)
-    assert not found.results
-    assert [without.name for without in found.broken] == list(changes)
+    results = read_results(tmp_path)
+    assert not results.results
+    assert [without.name for without in results.broken] == list(changes)
 
 
 def test_what_is_missing_is_told(tmp_path, finished):
@@ -110,9 +110,9 @@ def test_what_is_missing_is_told(tmp_path, finished):
     (first / "result.json").write_text(finished)
     (second / "failed.json").write_text('{"format": 1, "error": "out of luck"}')
     (tmp_path / "runs" / ".DS_Store").touch()  # as file managers leave it
-    found = read_results(tmp_path)
-    assert len(found.results) == 1
-    assert {(run.name, run.reason) for run in found.unfinished} == {
+    results = read_results(tmp_path)
+    assert len(results.results) == 1
+    assert {(run.name, run.reason) for run in results.unfinished} == {
         (second.name, "out of luck"),
         (third.name, "not finished"),
     }

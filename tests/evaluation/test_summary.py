@@ -72,16 +72,16 @@ def test_an_agent_with_one_piece_has_the_interval_of_the_piece(tmp_path):
 
 
 def test_rewards_for_different_fingers_stand_apart(tmp_path):
-    for agent, fingers in (("planner", "score"), ("learnt", "found")):
+    for agent, fingers in (("planner", "score"), ("learnt", "search")):
         metrics = {"f1": 0.9, "return": 5.0, "reward/energy": -1.0, "rewarded_fingers": fingers}
         write_result(tmp_path, agent, result("a", agent, 0, metrics))
     (line,) = caveats(tmp_path)[DIFFER]
-    assert line == "a: rewarded_fingers: found in 1 run (learnt); score in 1 run (planner)"
+    assert line == "a: rewarded_fingers: search in 1 run (learnt); score in 1 run (planner)"
     write_tables(tmp_path / "out", summary_of(tmp_path))
     with (tmp_path / "out" / "runs.csv").open() as file:
         planner, learnt = sorted(csv.DictReader(file), key=lambda row: row["agent"], reverse=True)
-    assert (planner["return, fingers: score"], planner["return, fingers: found"]) == ("5.0", "")
-    assert (learnt["return, fingers: score"], learnt["return, fingers: found"]) == ("", "5.0")
+    assert (planner["return, fingers: score"], planner["return, fingers: search"]) == ("5.0", "")
+    assert (learnt["return, fingers: score"], learnt["return, fingers: search"]) == ("", "5.0")
     assert planner["reward/energy"] == learnt["reward/energy"] == "-1.0"
 
 
@@ -171,8 +171,8 @@ def test_all_figures_are_those_of_plain_loops(bench):
 
 
 def test_the_tables_have_the_same_figures(bench, tmp_path):
-    found = read_results(bench)
-    summary = summarize(found, "made up")
+    results = read_results(bench)
+    summary = summarize(results, "made up")
     names = write_tables(tmp_path, summary)
     assert names == ["agents.csv", "pieces.csv", "runs.csv", "differences.csv"]
     agents, pieces, runs, differences = (
@@ -198,8 +198,8 @@ def test_the_tables_have_the_same_figures(bench, tmp_path):
 
 def test_what_is_not_known_is_an_empty_cell(tmp_path):
     write(tmp_path, {("a", "planner", 0): 0.5})
-    found = read_results(tmp_path)
-    write_tables(tmp_path / "out", summarize(found, "made up"))
+    results = read_results(tmp_path)
+    write_tables(tmp_path / "out", summarize(results, "made up"))
     (row,) = csv.DictReader((tmp_path / "out" / "pieces.csv").read_text().splitlines())
     assert (row["f1"], row["f1_low"], row["recall"]) == ("0.5", "", "")
 

@@ -123,9 +123,9 @@ def test_harder_etudes_have_higher_grades(kind):
 
 def test_the_fingers_of_the_score_count_unless_players_are_given():
     score = load_score("MoonlightOpening")
-    found, _ = find_fingering(score.without_fingers())
-    assert grade(found) == grade(score, shadow_hands())
-    assert grade(score) != grade(found)
+    fingered, _ = find_fingering(score.without_fingers())
+    assert grade(fingered) == grade(score, shadow_hands())
+    assert grade(score) != grade(fingered)
 
 
 def test_long_scores_are_graded():

@@ -29,21 +29,23 @@ def test_all_notes_at_once_get_what_the_search_finds(song):
     score = Score(tuple(replace(note, finger=None, velocity=80) for note in score.notes))
     sight = OnlineFingering(shadow_hands())
     numbers = show(sight, *score.notes)
-    found = sight.find(0.0)
+    fingers = sight.find(0.0)
     expected, _ = find_fingering(score)
-    assert [found[number] for number in numbers] == [n.finger for n in expected.notes]
+    assert [fingers[number] for number in numbers] == [n.finger for n in expected.notes]
 
 
 def test_what_is_settled_stays_and_what_is_not_may_change():
     notes = [Note(0.2 * i, 0.2 * i + 0.2, pitch) for i, pitch in enumerate(range(60, 84))]
-    sight, found = OnlineFingering(shadow_hands(["right"])), list[dict[int, Finger | None]]()
+    sight, fingers = OnlineFingering(shadow_hands(["right"])), list[dict[int, Finger | None]]()
     for note in notes:
         show(sight, note)
-        found.append(sight.find(note.start - 0.3))
-    asked = [[i for i, some in enumerate(found) if number in some] for number in range(len(notes))]
+        fingers.append(sight.find(note.start - 0.3))
+    asked = [
+        [i for i, some in enumerate(fingers) if number in some] for number in range(len(notes))
+    ]
     assert all(rounds == list(range(rounds[0], rounds[-1] + 1)) for rounds in asked)
     assert max(map(len, asked)) == 3  # until it begins less than 0.3 s after what is settled
-    assert any(found[rounds[0]][n] != found[rounds[-1]][n] for n, rounds in enumerate(asked))
+    assert any(fingers[rounds[0]][n] != fingers[rounds[-1]][n] for n, rounds in enumerate(asked))
 
 
 @pytest.mark.parametrize("song", ["FurEliseOpening", "BachPreludeInCMajor"])
@@ -62,13 +64,13 @@ def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song):
     sight = OnlineFingering(shadow_hands())
     for done, event in enumerate(events, start=1):
         happens(sight, *event)
-        found = sight.find(0.0)
+        fingers = sight.find(0.0)
         if done % 10 == 0:
             anew = OnlineFingering(shadow_hands())
             for earlier in events[:done]:
                 happens(anew, *earlier)
-            assert found == anew.find(0.0)
-    assert len(found) == len(notes) > 10
+            assert fingers == anew.find(0.0)
+    assert len(fingers) == len(notes) > 10
 
 
 def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end():
@@ -94,10 +96,10 @@ def test_what_cannot_be_played_gets_no_finger():
 def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later():
     notes = [Note(0.1 * i, 0.1 * i + 0.1, 60 + i % 5) for i in range(30)]
     sight = OnlineFingering(shadow_hands(["right"]), moments=12)
-    numbers, found = show(sight, *notes), dict[int, Finger | None]()
+    numbers, fingers = show(sight, *notes), dict[int, Finger | None]()
     for _ in range(3):
-        found |= sight.find(5.0)
-    assert all(found[number] is not None for number in numbers)
+        fingers |= sight.find(5.0)
+    assert all(fingers[number] is not None for number in numbers)
 
 
 def test_its_work_does_not_grow_with_the_song(monkeypatch):

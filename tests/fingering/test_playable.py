@@ -119,8 +119,8 @@ everyone = st.builds(
 @settings(deadline=None)
 @given(score=st.one_of(crowded, scores()), players=everyone)
 def test_the_same_notes_as_written_out(score, players):
-    found = playable(score, players)
-    played = {i for i in range(len(score.notes)) if i not in found.reasons | found.ignored}
+    notes = playable(score, players)
+    played = {i for i in range(len(score.notes)) if i not in notes.reasons | notes.ignored}
     assert played == written_out(score, players)
 
 
@@ -128,32 +128,32 @@ def test_the_same_notes_as_written_out(score, players):
 @given(score=st.one_of(crowded, scores()), players=everyone)
 def test_what_can_be_played_is_played(score, players):
     """By one of the fingers that there are, and without breaking a limit."""
-    found = solve(score, players)
+    notes = solve(score, players)
     there = {f for f in players.fingers if players.forearms[f.hand]}
     reasons = playable(score, players).reasons
-    for i, note in enumerate(found.score.notes):
+    for i, note in enumerate(notes.score.notes):
         assert (
-            note.finger is None if i in reasons else note.finger in there or note in found.ignored
+            note.finger is None if i in reasons else note.finger in there or note in notes.ignored
         )
-    assert 0 <= found.cost < 1e6
+    assert 0 <= notes.cost < 1e6
 
 
 @settings(deadline=None)
 @given(score=crowded, sides=sides)
 def test_what_begins_is_pressed_until_it_ends_or_is_let_go_of(score, sides):
-    found = playable(score, shadow_hands(sides))
-    begins = {note.start for i, note in enumerate(score.notes) if i not in found.reasons}
-    for i, until in found.released.items():
+    notes = playable(score, shadow_hands(sides))
+    begins = {note.start for i, note in enumerate(score.notes) if i not in notes.reasons}
+    for i, until in notes.released.items():
         assert score.notes[i].start < until < score.notes[i].end
         assert until in begins
-    assert [moment.num_notes for moment in found.moments][-1] == len(score.notes)
-    for moment in found.moments:
+    assert [moment.num_notes for moment in notes.moments][-1] == len(score.notes)
+    for moment in notes.moments:
         keys = [stroke.key for stroke in moment.strokes]
         assert keys == sorted(set(keys))
         sounding = {
             i
-            for i, note in enumerate(found.held(score).notes)
-            if i not in found.reasons
+            for i, note in enumerate(notes.held(score).notes)
+            if i not in notes.reasons
             and note.start <= moment.time
             and (note.start == moment.time or note.end > moment.time + RELEASE_TIME)
         }

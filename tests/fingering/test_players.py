@@ -58,9 +58,9 @@ def test_a_hand_that_does_not_slide_plays_what_is_before_it(spacing):
 
 def test_what_it_does_not_reach_is_dropped_and_said_to_be():
     twinkle = load_score("TwinkleTwinkleLittleStar").without_fingers()
-    found, dropped = find_fingering(twinkle, shadow_hands(slides=False))
+    fingered, dropped = find_fingering(twinkle, shadow_hands(slides=False))
     assert {d.reason for d in dropped} == {OUT_OF_REACH}
-    assert {n.pitch for n in found.notes if n.finger} == {60, 69}
+    assert {n.pitch for n in fingered.notes if n.finger} == {60, 69}
     assert not find_fingering(twinkle, shadow_hands(hand_spacing=0.15, slides=False))[1]
 
 
@@ -69,8 +69,8 @@ def test_it_plays_with_the_finger_before_the_key():
     players = shadow_hands(["right"], hand_spacing=0.0, slides=False)
     for finger, rest in enumerate(SHADOW.reach.rest):
         distance = abs(PIANO.grid_y - rest) + PIANO.is_black
-        (found,) = fingers(scale(int(distance.argmin()) + 21), players)
-        assert found == finger if finger < 3 else finger - 1 <= found <= finger
+        (number,) = fingers(scale(int(distance.argmin()) + 21), players)
+        assert number == finger if finger < 3 else finger - 1 <= number <= finger
 
 
 def test_mirrored_hands_that_do_not_slide():
@@ -101,8 +101,8 @@ def test_players_are_those_of_the_scene(dofs):
 
 def test_a_hand_of_four_fingers():
     everything = Score(tuple(Note(0, 1, pitch) for pitch in range(21, 109)))
-    found, dropped = find_fingering(everything, FOUR)
-    assert [n.finger for n in found.notes if n.finger] == [
+    fingered, dropped = find_fingering(everything, FOUR)
+    assert [n.finger for n in fingered.notes if n.finger] == [
         *(Finger(1, index) for index in (3, 2, 1, 0)),
         *(Finger(0, index) for index in (0, 1, 2, 3)),
     ]
@@ -112,19 +112,19 @@ def test_a_hand_of_four_fingers():
 def test_fingers_that_a_hand_does_not_have_are_found_anew():
     written = load_score("OdeToJoy")
     assert 4 in {note.finger.index for note in written.notes}
-    found, dropped = find_fingering(written, FOUR)
+    fingered, dropped = find_fingering(written, FOUR)
     assert not dropped
-    for before, after in zip(written.notes, found.notes, strict=True):
+    for before, after in zip(written.notes, fingered.notes, strict=True):
         assert after.finger == before.finger or before.finger.index == 4
         assert after.finger.index < 4
 
 
 def test_a_smaller_keyboard_has_its_keys_elsewhere():
     small = players_at(SHADOW.reach, TWO_OCTAVES, SIDES, hand_spacing=0.3, slides=True)
-    found, dropped = find_fingering(scale(47, 48, 72, 73), small)
+    fingered, dropped = find_fingering(scale(47, 48, 72, 73), small)
     assert [d.note.pitch for d in dropped] == [47, 73]
     assert {d.reason for d in dropped} == {"not on this keyboard"}
-    assert [n.finger.hand for n in found.notes[1:3]] == [1, 0]
+    assert [n.finger.hand for n in fingered.notes[1:3]] == [1, 0]
     wide = replace(TWO_OCTAVES, gap=0.03)  # no hand spans an octave of it
     chord = Score((Note(0, 1, 48), Note(0, 1, 60), Note(0, 1, 72)))
     wider = players_at(SHADOW.reach, wide, SIDES, hand_spacing=0.3, slides=True)

@@ -67,13 +67,13 @@ def check_hands(score: Score, sides: Collection[Side] = SIDES, as_written: bool 
 @settings(deadline=None)
 @given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
 def test_any_score_can_be_played_or_says_why_not(score, sides):
-    found, dropped = find_fingering(score, sides)
-    check_hands(found, sides)
-    assert bare(found) == score
-    assert [d.note for d in dropped] == [note for note in found.notes if note.finger is None]
+    fingered, dropped = find_fingering(score, sides)
+    check_hands(fingered, sides)
+    assert bare(fingered) == score
+    assert [d.note for d in dropped] == [note for note in fingered.notes if note.finger is None]
     assert all(d.reason for d in dropped)
-    assert {n.finger.side for n in found.notes if n.finger} <= set(sides)
-    assert found.has_fingering
+    assert {n.finger.side for n in fingered.notes if n.finger} <= set(sides)
+    assert fingered.has_fingering
 
 
 @settings(deadline=None)
@@ -92,8 +92,8 @@ def test_what_is_found_is_kept(score):
 @settings(deadline=None)
 @given(score=scores())
 def test_given_fingers_are_kept_however_odd(score):
-    found, dropped = find_fingering(score)
-    for before, after in zip(score.notes, found.notes, strict=True):
+    fingered, dropped = find_fingering(score)
+    for before, after in zip(score.notes, fingered.notes, strict=True):
         assert after.finger == before.finger or before.finger is None
     assert all(d.note in score.notes for d in dropped)
 
@@ -113,9 +113,9 @@ def test_a_note_held_keeps_its_finger_from_others():
     score = Score(
         (Note(0, 2, 60, finger=finger(0)), *(Note(t / 4, t / 4 + 0.25, 64) for t in range(8)))
     )
-    found, dropped = find_fingering(score)
+    fingered, dropped = find_fingering(score)
     assert not dropped
-    assert 0 not in numbers(found)[2:]
+    assert 0 not in numbers(fingered)[2:]
 
 
 def test_a_held_note_that_is_in_the_way_is_let_go_of():
@@ -129,8 +129,8 @@ def test_a_held_note_that_is_in_the_way_is_let_go_of():
 def test_only_the_held_note_that_is_in_the_way_is_let_go_of():
     """Without the thumb, which was there first, the hand would still have no finger beyond."""
     held = (Note(0, 4, 60, finger=finger(0)), Note(1, 4, 67, finger=finger(4)))
-    found = playable(Score((*held, Note(2, 4, 71))), shadow_hands(["right"]))
-    assert (found.reasons, found.released) == ({}, {1: 2})
+    result = playable(Score((*held, Note(2, 4, 71))), shadow_hands(["right"]))
+    assert (result.reasons, result.released) == ({}, {1: 2})
 
 
 # What is dropped
@@ -138,10 +138,10 @@ def test_only_the_held_note_that_is_in_the_way_is_let_go_of():
 
 def test_outer_notes_are_kept_when_there_are_too_many():
     score = chord(*range(21, 109))
-    found, dropped = find_fingering(score)
-    check_hands(found)
-    assert [f for f in numbers(found) if f >= 0] == [9, 8, 7, 6, 5, 0, 1, 2, 3, 4]
-    assert [numbers(found)[i] for i in (0, -1)] == [9, 4]
+    fingered, dropped = find_fingering(score)
+    check_hands(fingered)
+    assert [f for f in numbers(fingered) if f >= 0] == [9, 8, 7, 6, 5, 0, 1, 2, 3, 4]
+    assert [numbers(fingered)[i] for i in (0, -1)] == [9, 4]
     assert len(dropped) == 78
     assert {reason for _, reason in dropped} == {"more than 10 notes at once for both hands"}
 
@@ -168,9 +168,9 @@ def test_louder_notes_come_first():
 
 
 def test_a_note_that_is_struck_twice_at_once_has_one_finger():
-    found, dropped = find_fingering(Score((Note(0, 1, 60), Note(0, 0.5, 60), Note(0.01, 2, 60))))
+    fingered, dropped = find_fingering(Score((Note(0, 1, 60), Note(0, 0.5, 60), Note(0.01, 2, 60))))
     assert not dropped
-    assert len(set(numbers(found))) == 1
+    assert len(set(numbers(fingered))) == 1
 
 
 @pytest.mark.parametrize("pitches", [(21, 22, 23), (106, 107, 108), (21, 108)])
@@ -203,15 +203,15 @@ def test_a_note_that_is_written_for_both_hands_goes_to_either():
 @settings(deadline=None)
 @given(unfingered, st.lists(st.sampled_from([RIGHT, LEFT]), min_size=1))
 def test_hands_as_written_are_within_what_hands_can_do(score, hands):
-    found, dropped = find_fingering(written_for(score, hands), as_written=True)
-    check_hands(found, as_written=True)
-    assert [d.note for d in dropped] == [note for note in found.notes if note.finger is None]
+    fingered, dropped = find_fingering(written_for(score, hands), as_written=True)
+    check_hands(fingered, as_written=True)
+    assert [d.note for d in dropped] == [note for note in fingered.notes if note.finger is None]
 
 
 def test_what_the_written_hand_cannot_play_goes_to_the_other():
     too_wide = written_for(chord(40, 62, 67), [RIGHT])
-    found, dropped = find_fingering(too_wide, as_written=True)
-    assert [n.finger.hand for n in found.notes] == [LEFT, RIGHT, RIGHT]
+    fingered, dropped = find_fingering(too_wide, as_written=True)
+    assert [n.finger.hand for n in fingered.notes] == [LEFT, RIGHT, RIGHT]
     assert not dropped
 
 
@@ -227,10 +227,10 @@ def test_where_written_hands_cross_the_notes_are_shared():
 
 
 def test_five_keys_in_a_row_take_the_five_numbers():
-    found, _ = find_fingering(melody(72, 74, 76, 77, 79, 77, 76, 74, 72), ["right"])
-    assert numbers(found) == [0, 1, 2, 3, 4, 3, 2, 1, 0]
-    found, _ = find_fingering(melody(48, 50, 52, 53, 55, 53, 52, 50, 48), ["left"])
-    assert numbers(found) == [9, 8, 7, 6, 5, 6, 7, 8, 9]
+    fingered, _ = find_fingering(melody(72, 74, 76, 77, 79, 77, 76, 74, 72), ["right"])
+    assert numbers(fingered) == [0, 1, 2, 3, 4, 3, 2, 1, 0]
+    fingered, _ = find_fingering(melody(48, 50, 52, 53, 55, 53, 52, 50, 48), ["left"])
+    assert numbers(fingered) == [9, 8, 7, 6, 5, 6, 7, 8, 9]
 
 
 def test_triads_and_octaves():
@@ -240,13 +240,13 @@ def test_triads_and_octaves():
 
 def test_a_repeated_key_keeps_its_finger():
     for seconds in (0.1, 0.5):
-        found, _ = find_fingering(melody(*[67] * 6, 69, *[67] * 3, length=seconds))
-        assert len({n.finger for n in found.notes if n.pitch == 67}) == 1
+        fingered, _ = find_fingering(melody(*[67] * 6, 69, *[67] * 3, length=seconds))
+        assert len({n.finger for n in fingered.notes if n.pitch == 67}) == 1
 
 
 def test_low_notes_go_left_and_high_notes_right():
-    found, _ = find_fingering(Score((*chord(36, 43).notes, *chord(84, 88).notes)))
-    assert [note.finger.hand for note in found.notes] == [1, 1, 0, 0]
+    fingered, _ = find_fingering(Score((*chord(36, 43).notes, *chord(84, 88).notes)))
+    assert [note.finger.hand for note in fingered.notes] == [1, 1, 0, 0]
 
 
 def test_agrees_with_the_bundled_fingering():
@@ -254,10 +254,10 @@ def test_agrees_with_the_bundled_fingering():
     hands, fingers = [], []
     for piece in songs():
         written = load_score(piece.name)
-        found, dropped = find_fingering(bare(written))
+        fingered, dropped = find_fingering(bare(written))
         assert not dropped, piece.name
-        check_hands(found)
-        pairs = np.array([numbers(written), numbers(found)])
+        check_hands(fingered)
+        pairs = np.array([numbers(written), numbers(fingered)])
         hands.append((pairs[0] // 5 == pairs[1] // 5).mean())
         fingers.append((pairs[0] == pairs[1]).mean())
     assert np.mean(hands) > 0.9
@@ -286,19 +286,19 @@ def test_the_bundled_fingering_is_possible_and_costs_more(piece):
     ],
 )
 def test_a_pianists_fingers_of_scales(pitches, side, fingers, seconds):
-    found, _ = pianist_fingering(melody(*pitches, length=seconds), shadow_hands([side]))
-    assert [note.finger.index + 1 for note in found.notes] == fingers
-    assert {note.finger.side for note in found.notes} == {side}
+    fingered, _ = pianist_fingering(melody(*pitches, length=seconds), shadow_hands([side]))
+    assert [note.finger.index + 1 for note in fingered.notes] == fingers
+    assert {note.finger.side for note in fingered.notes} == {side}
 
 
 @settings(deadline=None)
 @given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
 def test_a_pianists_fingers_are_those_that_the_hands_can_play_with(score, sides):
-    found, dropped = pianist_fingering(score, shadow_hands(sides))
-    check_hands(found, sides)
+    fingered, dropped = pianist_fingering(score, shadow_hands(sides))
+    check_hands(fingered, sides)
     split, left_out = find_fingering(score, sides)
     assert dropped == left_out
-    assert [n.finger and n.finger.hand for n in found.notes] == [
+    assert [n.finger and n.finger.hand for n in fingered.notes] == [
         n.finger and n.finger.hand for n in split.notes
     ]
 
@@ -317,8 +317,8 @@ def test_a_pianists_fingers_agree_more_with_the_bundled_fingering():
 
 def test_hands_of_four_fingers_are_fingered_as_a_pianist_would_without_the_little_one():
     hands = players_at(FOUR_FINGERS, PIANO, ["right"], 0.3, slides=True)
-    found, _ = pianist_fingering(melody(60, 62, 64, 65, 67, 69), hands)
-    assert [note.finger.index + 1 for note in found.notes] == [1, 2, 3, 1, 2, 3]
+    fingered, _ = pianist_fingering(melody(60, 62, 64, 65, 67, 69), hands)
+    assert [note.finger.index + 1 for note in fingered.notes] == [1, 2, 3, 1, 2, 3]
 
 
 # The search
@@ -366,6 +366,8 @@ def test_mirrored_music_costs_the_same(played):
 
 
 def test_a_long_song():
-    found, dropped = find_fingering(melody(*(60 + (7 * i) % 12 for i in range(2000)), length=0.2))
+    fingered, dropped = find_fingering(
+        melody(*(60 + (7 * i) % 12 for i in range(2000)), length=0.2)
+    )
     assert not dropped
-    check_hands(replace(found, notes=found.notes[-50:]))
+    check_hands(replace(fingered, notes=fingered.notes[-50:]))

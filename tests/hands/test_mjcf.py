@@ -185,10 +185,10 @@ def test_servos_that_overshoot_are_told_gains_with_which_they_do_not(tmp_path):
     assert not list(ReachMeasurement(HandFile(path).hand(UPRIGHT)).swinging())
     (tmp_path / "leap.xml").write_text(mjcf().replace('mass="0.02"', 'mass="0.5"'))
     (line,) = ReachMeasurement(HandFile(path).hand(UPRIGHT)).swinging()
-    found = re.fullmatch(
+    match = re.fullmatch(
         r"servos that overshoot .*: \w+ and \d+ more; try kp = (\S+) and damping = (\S+)", line
     )
-    path.write_text(TOML.replace("kp = 2.0", f"kp = {found[1]}\ndamping = {found[2]}"))
+    path.write_text(TOML.replace("kp = 2.0", f"kp = {match[1]}\ndamping = {match[2]}"))
     again = ReachMeasurement(HandFile(path).hand(UPRIGHT))
     assert not [*again.swinging(), *again.slow()]
     path.write_text(TOML.replace("kp = 2.0", "damping = 1.0"))

@@ -173,14 +173,14 @@ def test_a_residual_policy_corrects_the_plan():
 )
 def test_goes_on_after_a_stop_with_the_same_bits(config, residual):
     """The three environments are at different steps of different songs."""
-    whole = Run(config, residual)
-    whole.collector.begin()
-    policy = some_policy(whole)
-    whole.collector.collect(None, 9)
-    whole.collector.collect(policy, 8)
-    plain, arrays = whole.collector.state()
+    full = Run(config, residual)
+    full.collector.begin()
+    policy = some_policy(full)
+    full.collector.collect(None, 9)
+    full.collector.collect(policy, 8)
+    plain, arrays = full.collector.state()
     plain = json.loads(json.dumps(plain))
-    chunk, scores = whole.replay.since(0), whole.scores.arrays()
+    chunk, scores = full.replay.since(0), full.scores.arrays()
 
     again = Run(config, residual)
     again.scores.restore({name: array.copy() for name, array in scores.items()})
@@ -188,9 +188,9 @@ def test_goes_on_after_a_stop_with_the_same_bits(config, residual):
     again.collector.restore(plain, {name: array.copy() for name, array in arrays.items()})
     if not residual:
         assert len(set(again.task.goals.steps_done.tolist())) > 1
-    assert_array_equal(again.collector.observation, whole.collector.observation)
+    assert_array_equal(again.collector.observation, full.collector.observation)
     for steps, using in ((20, policy), (7, None)):
-        assert again.collector.collect(using, steps) == whole.collector.collect(using, steps)
-        assert_array_equal(again.collector.observation, whole.collector.observation)
-    for ours, theirs in zip(again.sample(0, 500), whole.sample(0, 500), strict=True):
+        assert again.collector.collect(using, steps) == full.collector.collect(using, steps)
+        assert_array_equal(again.collector.observation, full.collector.observation)
+    for ours, theirs in zip(again.sample(0, 500), full.sample(0, 500), strict=True):
         assert_array_equal(ours, theirs)

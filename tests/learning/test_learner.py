@@ -138,53 +138,54 @@ def newest(run: Path) -> dict[str, np.ndarray]:
 
 
 def test_a_learner_of_another_package_trains_resumes_and_plays(package, tune, tmp_path, capsys):
-    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    unbroken, stopped = tmp_path / "whole", tmp_path / "stopped"
     train = ["train", str(tune), "--learner", "regression", "--step-size", "0.05", *OPTIONS]
-    main([*train, "-o", str(whole)])
-    rows = [json.loads(line) for line in (whole / "metrics.jsonl").read_text().splitlines()]
+    main([*train, "-o", str(unbroken)])
+    rows = [json.loads(line) for line in (unbroken / "metrics.jsonl").read_text().splitlines()]
     losses = [row["train/loss"] for row in rows if "train/loss" in row]
     assert losses[-1] < losses[0]
     best = max(row["eval/f1"] for row in rows if "eval/f1" in row)
-    assert json.loads((whole / "best_played" / "metrics.json").read_text())["f1"] == best
-    config, _ = RunFolder(whole).settings()
+    assert json.loads((unbroken / "best_played" / "metrics.json").read_text())["f1"] == best
+    config, _ = RunFolder(unbroken).settings()
     assert (type(config.learner).__name__, config.learner.batch_size) == ("RegressionConfig", 16)
     assert config.learner.step_size == 0.05  # type: ignore[attr-defined]
 
     main([*train, "-o", str(stopped), "--num-steps", "104"])
     main(["train", "--resume", str(stopped), "--num-steps", "200", "--no-video"])
-    for name, array in newest(whole).items():
+    for name, array in newest(unbroken).items():
         assert_array_equal(array, newest(stopped)[name], err_msg=name)
     assert_array_equal(
-        load_policy(stopped / "last").policy.weights["mean/kernel"], newest(whole)["learner:mean"]
+        load_policy(stopped / "last").policy.weights["mean/kernel"],
+        newest(unbroken)["learner:mean"],
     )
-    assert "its own options" in refused(capsys, "train", "--resume", whole, "--step-size", 1)
+    assert "its own options" in refused(capsys, "train", "--resume", unbroken, "--step-size", 1)
     # A perceptron is read without the learner that made it.
     (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
-    main(["play", "--agent", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
+    main(["play", "--agent", str(unbroken / "best"), "--no-video", "-o", str(tmp_path / "out")])
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["f1"] == best
 
 
 def test_a_learner_may_make_policies_of_another_kind(package, tune, tmp_path, capsys):
-    whole = tmp_path / "whole"
-    main(["train", str(tune), "--learner", "linear", *OPTIONS, "-o", str(whole)])
-    assert type(load_policy(whole / "last").policy).__name__ == "Linear"
-    arrays, facts = read_tensors(whole / "last" / POLICY_FILE, ANY, 2**28)
+    unbroken = tmp_path / "whole"
+    main(["train", str(tune), "--learner", "linear", *OPTIONS, "-o", str(unbroken)])
+    assert type(load_policy(unbroken / "last").policy).__name__ == "Linear"
+    arrays, facts = read_tensors(unbroken / "last" / POLICY_FILE, ANY, 2**28)
     assert (facts["learner"], facts["policy"]) == ("linear", {"noise": 0.1})
-    assert_array_equal(arrays["policy/kernel"], newest(whole)["learner:mean"])
+    assert_array_equal(arrays["policy/kernel"], newest(unbroken)["learner:mean"])
 
-    rows = [json.loads(line) for line in (whole / "metrics.jsonl").read_text().splitlines()]
+    rows = [json.loads(line) for line in (unbroken / "metrics.jsonl").read_text().splitlines()]
     best = max(row["eval/f1"] for row in rows if "eval/f1" in row)
-    main(["play", "--agent", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
+    main(["play", "--agent", str(unbroken / "best"), "--no-video", "-o", str(tmp_path / "out")])
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["f1"] == best
 
     wrong = arrays | {"policy/kernel": np.zeros(3)}
-    write_tensors(whole / "last" / POLICY_FILE, wrong, facts)
-    assert f"{whole / 'last'}: cannot be read: ValueError: no matrix (" in refused(
-        capsys, "play", "--agent", whole / "last"
+    write_tensors(unbroken / "last" / POLICY_FILE, wrong, facts)
+    assert f"{unbroken / 'last'}: cannot be read: ValueError: no matrix (" in refused(
+        capsys, "play", "--agent", unbroken / "last"
     )
     (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
-    assert f"{whole / 'best'}: no learner 'linear': choose from droq, ppo, or give" in refused(
-        capsys, "play", "--agent", whole / "best"
+    assert f"{unbroken / 'best'}: no learner 'linear': choose from droq, ppo, or give" in refused(
+        capsys, "play", "--agent", unbroken / "best"
     )
 
 

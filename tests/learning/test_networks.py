@@ -64,14 +64,14 @@ def test_first_layer_with_fewer_inputs_begins_as_the_same_layer():
     """Nothing changes where what is left out is zero."""
     x = np.zeros((7, 12), np.float32)
     x[:, SOME.kept] = np.random.default_rng(0).standard_normal((7, 5))
-    whole, less = FirstLayer(8, ALL), FirstLayer(8, SOME)
-    weights, fewer = whole.init(jax.random.key(1), x), less.init(jax.random.key(1), x[:, SOME.kept])
+    full, less = FirstLayer(8, ALL), FirstLayer(8, SOME)
+    weights, fewer = full.init(jax.random.key(1), x), less.init(jax.random.key(1), x[:, SOME.kept])
     assert fewer["params"]["kernel"].shape == (5, 8)
     assert_array_equal(
         fewer["params"]["kernel"], np.asarray(weights["params"]["kernel"])[list(SOME.kept)]
     )
     assert_allclose(
-        less.apply(fewer, x[:, SOME.kept]), whole.apply(weights, x), rtol=1e-6, atol=1e-6
+        less.apply(fewer, x[:, SOME.kept]), full.apply(weights, x), rtol=1e-6, atol=1e-6
     )
 
 

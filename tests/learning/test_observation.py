@@ -78,7 +78,7 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task):
     scores = GoalTable(task.spec, task.tracks)
     inputs = pruned(ObservationSpec.of(task.spec), *scores.goals_used())
     observer = Observer(task.spec, scores, inputs)
-    whole = Observer(task.spec, scores)
+    full = Observer(task.spec, scores)
     kept = np.array(inputs.kept)
     left_out = np.setdiff1d(np.arange(task.spec.observation_size), kept)
     # Some 80 keys that no song asks for, in all the steps ahead.
@@ -87,7 +87,7 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task):
         acting = Acting(task, scores, seed)
         for _ in range(int(task.goals.num_steps.max()) + 1):
             assert not task.observation()[:, left_out].any()
-            assert_array_equal(acting.seen_by(observer), acting.seen_by(whole)[:, kept])
+            assert_array_equal(acting.seen_by(observer), acting.seen_by(full)[:, kept])
             acting.step()
 
 

@@ -75,8 +75,8 @@ def test_a_run_that_is_resumed_ends_as_one_that_was_not(tmp_path, residual):
     runs = [
         trained(config, songs, tmp_path / name, *s) for name, s in (("whole", ()), ("in", (2, 2)))
     ]
-    whole, resumed = (load_policy(run.path / "last") for run in runs)
-    for name, weights in whole.policy.state()[1].items():
+    uninterrupted, resumed = (load_policy(run.path / "last") for run in runs)
+    for name, weights in uninterrupted.policy.state()[1].items():
         assert_array_equal(weights, resumed.policy.state()[1][name], err_msg=name)
     assert figures(runs[0]) == figures(runs[1])
     assert (runs[0].path / "best").is_dir()

@@ -47,13 +47,13 @@ def test_every_finger_gets_to_its_keys_and_5_cm_further():
     assert (
         high - low < 0.4 < np.subtract(task.spec.action_high, task.spec.action_low)[slides(task)[0]]
     )
-    found = sorted(
+    ranges = sorted(
         forearm
         for finger, pitch in ((THUMB, 64), (LITTLE, 72))
         for forearm in np.linspace(low, high, 2001)
         if abs(above(task, forearm, finger, pitch)) < 2e-4
     )
-    assert_allclose([found[0] - low, high - found[-1]], 0.05, atol=1e-3)
+    assert_allclose([ranges[0] - low, high - ranges[-1]], 0.05, atol=1e-3)
 
 
 def test_a_hand_without_notes_rests():
@@ -73,8 +73,8 @@ def test_keys_that_name_no_finger_are_for_all_of_them():
 
 @pytest.mark.parametrize("option", ["random_pitch_shift", "random_octave_shift"])
 def test_every_key_may_come_where_songs_are_moved(option):
-    whole = PianoTask([SONG], TaskConfig(**{option: 1}))
-    ranges, a = ranges_of(whole), slides(whole)[0]
+    task = PianoTask([SONG], TaskConfig(**{option: 1}))
+    ranges, a = ranges_of(task), slides(task)[0]
     assert ranges.actions[1, a] - ranges.actions[0, a] > 1.0
 
 

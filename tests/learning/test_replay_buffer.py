@@ -252,13 +252,13 @@ def test_goes_on_without_chunks_that_are_lost(num_envs, length, pauses, lost, se
             again.restore(chunk)
     again.skip(chunks[-1]["to"])
     again.observe(*playing.newest)
-    found = len(again)
+    rows = len(again)
     if lost.isdisjoint(range(len(chunks))):
-        assert found == len(playing.replay)
-    if found:
-        drawn = as_tuples(again.sample(np.random.default_rng(1), (30 * found,)))
+        assert rows == len(playing.replay)
+    if rows:
+        drawn = as_tuples(again.sample(np.random.default_rng(1), (30 * rows,)))
         assert set(drawn) <= playing.held()
-        assert len(set(drawn)) > 0.9 * found
+        assert len(set(drawn)) > 0.9 * rows
 
 
 def test_what_is_left_of_much_is_found():

@@ -307,10 +307,10 @@ def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(runs, undi
     run = runs()
     train(replace(CONFIG, num_steps=104), run)
     train(CONFIG, run)
-    arrays, whole = checkpoint(run)[0], checkpoint(undisturbed("in turn"))[0]
-    assert arrays.keys() == whole.keys()
+    arrays, expected = checkpoint(run)[0], checkpoint(undisturbed("in turn"))[0]
+    assert arrays.keys() == expected.keys()
     for name, array in arrays.items():
-        assert_array_equal(array, whole[name], err_msg=name)
+        assert_array_equal(array, expected[name], err_msg=name)
 
 
 def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(runs):
@@ -401,11 +401,11 @@ def started(run: RunFolder) -> subprocess.Popen[str]:
 @pytest.mark.parametrize("way", ["in turn", "residual"])
 def test_a_run_that_is_killed_at_any_moment_goes_on(way, runs):
     """SIGKILL at random times, while there is a checkpoint at every round."""
-    whole, killed = runs(), runs()
+    uninterrupted, killed = runs(), runs()
     config = replace(WAYS[way], num_steps=480, checkpoint_interval=0.0)
-    for run in (whole, killed):
+    for run in (uninterrupted, killed):
         run.begin(config, [SONG])
-    process, began = started(whole), time.monotonic()
+    process, began = started(uninterrupted), time.monotonic()
     assert process.wait() == 0
     longest = (time.monotonic() - began) / 6  # of which some went into compiling
     rng, kills, code = random.Random(0), 0, None
@@ -419,4 +419,4 @@ def test_a_run_that_is_killed_at_any_moment_goes_on(way, runs):
         kills += code != 0
         longest *= 1.2
     assert kills > 2
-    assert_same_runs(killed, whole)
+    assert_same_runs(killed, uninterrupted)

@@ -151,9 +151,9 @@ def test_a_bar_that_its_beats_do_not_fill_has_finer_ones(tmp_path):
     first = FOUR_QUARTERS.replace("<beats>4", "<beats>3") + note("C4", 2)
     text = document([first, note("C4", 12)]).replace('number="1"', 'number="0"')
     (tmp_path / "song.musicxml").write_text(text)
-    pickup, whole = read_score(tmp_path / "song.musicxml").bars
+    pickup, first_bar = read_score(tmp_path / "song.musicxml").bars
     assert (pickup.beats, pickup.beat_type) == ((0.0,), 8)
-    assert (whole.beats, whole.beat_type) == ((0.25, 0.75, 1.25), 4)
+    assert (first_bar.beats, first_bar.beat_type) == ((0.25, 0.75, 1.25), 4)
 
 
 def test_bars_of_midi_have_the_key_signatures_of_the_file(tmp_path):

@@ -216,15 +216,15 @@ def test_progressions_end_with_a_cadence(seed, phrases, length):
 
 def perfect_parallels(score: Score) -> list[tuple[list[int], list[int]]]:
     """Pairs of moments between which two voices move in parallel fifths or octaves."""
-    found = []
+    faults = []
     for now, then in itertools.pairwise(verticals(score)):
         if len(now) != len(then):
             continue
         for i, j in itertools.combinations(range(len(now)), 2):
             before, after = (now[j] - now[i]) % 12, (then[j] - then[i]) % 12
             if before == after and before in (0, 7) and now[i] != then[i] and now[j] != then[j]:
-                found.append((now, then))
-    return found
+                faults.append((now, then))
+    return faults
 
 
 @few

@@ -345,9 +345,9 @@ def test_an_arrangement_with_expression_is_the_performed_score():
 
 
 def test_a_beginning_is_that_of_the_whole_performance():
-    whole = load_song("OdeToJoy", Arrangement(expression=1.0))
+    song = load_song("OdeToJoy", Arrangement(expression=1.0))
     part = load_song("OdeToJoy", Arrangement(expression=1.0, first_seconds=5.0))
-    assert part == whole.beginning(5.0)
+    assert part == song.beginning(5.0)
 
 
 def test_rules_without_expression_are_refused():

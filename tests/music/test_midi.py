@@ -497,8 +497,8 @@ def test_what_sets_up_a_channel_may_stand_in_a_later_track(saved):
 
 
 def test_short_messages_to_synthesizers_do_no_harm(saved):
-    whole = [GS_RHYTHM, GS_RESET, XG_DRUMS]
-    cut = [sysex(*message.data[:end]) for message in whole for end in range(len(message.data))]
+    messages = [GS_RHYTHM, GS_RESET, XG_DRUMS]
+    cut = [sysex(*message.data[:end]) for message in messages for end in range(len(message.data))]
     assert len(read_midi(saved([*cut, on(60), off(60, 10)])).notes) == 1
 
 
@@ -644,6 +644,6 @@ def test_of_two_notes_at_the_same_moment_the_finger_and_the_end_that_are_known_a
         (note,), _ = repaired_notes(doubled, Counter(), ())
         assert note.finger == known
     doubled = [RawNote(0, 480, 60, 80, True), RawNote(0, 9600, 60, 90, False)]
-    for found in doubled, doubled[::-1]:
-        (note,), remarks = repaired_notes(found, Counter(), ())
+    for tracks in doubled, doubled[::-1]:
+        (note,), remarks = repaired_notes(tracks, Counter(), ())
         assert (note.end, note.velocity, remarks) == (480, 90, (MERGED,))

@@ -25,12 +25,12 @@ SONG = Score(NOTES, (PedalEvent(0.6, 127), PedalEvent(1.9, 0)), "Song", bars=BAR
 
 def signs(path, kind):
     """What messages of a kind say, and when mido plays them [s]."""
-    now, found = 0.0, []
+    now, notes = 0.0, []
     for message in mido.MidiFile(path):
         now += message.time
         if message.type == kind:
-            found.append((round(now, 3), {**message.dict()} | {"time": 0}))
-    return found
+            notes.append((round(now, 3), {**message.dict()} | {"time": 0}))
+    return notes
 
 
 def test_a_song_keeps_its_metre_its_keys_and_its_tempos(tmp_path):
@@ -87,8 +87,8 @@ def test_all_times_are_kept_wherever_the_bars_begin(later, tmp_path):
     for move, read in zip(SONG.pedal, again.pedal, strict=True):
         assert read.time == pytest.approx(move.time, abs=HALF_A_TICK)
     begins = [bar.time for bar in moved.bars if bar.time >= -HALF_A_TICK]
-    found = [bar.time for bar in again.bars]
-    assert [min(found, key=lambda at: abs(at - time)) for time in begins] == pytest.approx(
+    times = [bar.time for bar in again.bars]
+    assert [min(times, key=lambda at: abs(at - time)) for time in begins] == pytest.approx(
         begins, abs=HALF_A_TICK
     )
 

@@ -65,13 +65,13 @@ def by_pitch(score):
 
 def values(root, staff=1):
     """Types of the notes of a staff, with dots and tuplets, such as "quarter." or "eighth/3"."""
-    found = []
+    notes = []
     for note in root.iter("note"):
         if note.findtext("staff") == str(staff) and note.find("pitch") is not None:
             actual = note.findtext("time-modification/actual-notes")
             dots = "." * len(note.findall("dot"))
-            found.append(note.findtext("type") + dots + (f"/{actual}" if actual else ""))
-    return found
+            notes.append(note.findtext("type") + dots + (f"/{actual}" if actual else ""))
+    return notes
 
 
 def check_measures(root):
@@ -388,9 +388,9 @@ def test_notes_that_are_written_one_after_the_other_are_not_rolled(tmp_path):
 def test_a_bar_of_minutes_can_be_read_again(tmp_path):
     song = Score((Note(0, 1, 60), Note(501, 502, 62)), bars=(Bar(0.0, 1), Bar(502.0, 2)))
     write_musicxml(song, tmp_path / "song.musicxml")
-    found = read_musicxml(tmp_path / "song.musicxml")
-    assert [note.start for note in found.notes] == pytest.approx([0, 501], abs=0.2)
-    assert not found.remarks
+    score = read_musicxml(tmp_path / "song.musicxml")
+    assert [note.start for note in score.notes] == pytest.approx([0, 501], abs=0.2)
+    assert not score.remarks
 
 
 @pytest.mark.parametrize(

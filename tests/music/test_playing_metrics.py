@@ -56,9 +56,9 @@ def test_step_metrics_by_hand():
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.02, 0.3]), st.sampled_from([0.0, 0.1]))
-def test_pooled_metrics_count_the_hits_of_all_steps(seed, density, wanted):
+def test_pooled_metrics_count_the_hits_of_all_steps(seed, density, goal_density):
     rng = np.random.default_rng(seed)
-    played, goal = rng.random((40, 88)) < density, rng.random((40, 88)) < wanted
+    played, goal = rng.random((40, 88)) < density, rng.random((40, 88)) < goal_density
     hits = misses = extra = 0
     for step in range(40):
         for key in range(88):
@@ -160,15 +160,15 @@ def test_silence_against_silence_is_perfect_and_against_notes_is_nothing():
 
 def by_mir_eval(played, goal):
     def notes(keys):  # step by step, for mir_eval's own multipitch-free interface
-        found, since = [], {}
+        played_notes, since = [], {}
         for t in range(len(keys) + 1):
             for k in range(88):
                 on = t < len(keys) and keys[t, k]
                 if on and k not in since:
                     since[k] = t
                 elif not on and k in since:
-                    found.append((since.pop(k) * 0.05, t * 0.05, 27.5 * 2 ** (k / 12)))
-        table = np.array(sorted(found))
+                    played_notes.append((since.pop(k) * 0.05, t * 0.05, 27.5 * 2 ** (k / 12)))
+        table = np.array(sorted(played_notes))
         return table[:, :2], table[:, 2]
 
     (times, pitches), sounded = notes(goal), notes(played)

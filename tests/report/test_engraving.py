@@ -135,11 +135,11 @@ def test_fingers_of_a_chord_stand_in_a_column_in_the_order_of_its_notes():
 def test_bars_follow_each_other_in_place_and_time():
     score = load_score("FurEliseOpening").with_initial_silence(0.5)
     sheet = sheet_of(score)
-    found = [bar for system in engraved(sheet).systems for bar in system.bars]
-    assert [bar.number for bar in found] == [written.measure.number for written in sheet.measures]
-    assert [bar.begin for bar in found[1:]] == pytest.approx([bar.end for bar in found[:-1]])
-    assert found[0].begin <= score.notes[0].start
-    assert found[-1].end >= score.notes[-1].start
+    bars = [bar for system in engraved(sheet).systems for bar in system.bars]
+    assert [bar.number for bar in bars] == [written.measure.number for written in sheet.measures]
+    assert [bar.begin for bar in bars[1:]] == pytest.approx([bar.end for bar in bars[:-1]])
+    assert bars[0].begin <= score.notes[0].start
+    assert bars[-1].end >= score.notes[-1].start
     for system in engraved(sheet).systems:
         edges = [(bar.left, bar.right) for bar in system.bars]
         assert all(left < right for left, right in edges)

@@ -80,7 +80,7 @@ def test_bodies_are_where_the_simulation_has_them(browser, tmp_path):
     )
     browser.open(tmp_path / "hands.html")
     for row, positions, quaternions in zip(qpos, *body_poses(scene, qpos), strict=True):
-        found = browser.evaluate(f"""(() => {{
+        state = browser.evaluate(f"""(() => {{
             hands.pose({row.tolist()});
             hands.root.updateMatrixWorld();
             return hands.bodies.map((body) => [
@@ -88,7 +88,7 @@ def test_bodies_are_where_the_simulation_has_them(browser, tmp_path):
                 ...body.getWorldQuaternion(new THREE.Quaternion()),
             ]);
         }})()""")
-        xpos, xyzw = np.split(np.array(found), [3], axis=1)
+        xpos, xyzw = np.split(np.array(state), [3], axis=1)
         assert np.abs(xpos - positions).max() < 2e-5
         same = np.abs(np.sum(np.roll(xyzw, 1, axis=1) * quaternions, axis=1))
         assert same == pytest.approx(1, abs=1e-6)

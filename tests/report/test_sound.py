@@ -36,8 +36,8 @@ def test_a_key_sounds_at_its_pitch(pitch):
     frequency, strength = spectrum(heard(Score((Note(0, 3, pitch),))))
     expected = 440 * 2 ** ((pitch - 69) / 12)
     near = (frequency > expected * 0.95) & (frequency < expected * 1.05)
-    found = frequency[near][np.argmax(strength[near])]
-    assert abs(1200 * np.log2(found / expected)) < 3  # cents
+    peak = frequency[near][np.argmax(strength[near])]
+    assert abs(1200 * np.log2(peak / expected)) < 3  # cents
     assert strength[near].max() > 0.25 * strength.max()
 
 
@@ -126,11 +126,11 @@ def test_no_sound_depends_on_the_blocks_that_it_is_made_in(monkeypatch):
         (PedalEvent(0, 127), PedalEvent(6, 0)),
     )
     monkeypatch.setattr(sound, "CEILING", 0.2)  # so that there is something to turn down
-    whole = synthesize(score)[:].astype(int)
-    assert np.abs(whole).max() > 0.15 * 32768
+    samples = synthesize(score)[:].astype(int)
+    assert np.abs(samples).max() > 0.15 * 32768
     for seconds in (1, 3):
         monkeypatch.setattr(sound, "BLOCK", seconds)
-        assert np.abs(synthesize(score)[:] - whole).max() <= 1
+        assert np.abs(synthesize(score)[:] - samples).max() <= 1
 
 
 def test_memory_does_not_grow_with_the_sound(monkeypatch):

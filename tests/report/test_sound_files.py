@@ -31,9 +31,9 @@ def test_a_file_without_loss_has_every_sample(tmp_path, kind):
 def test_an_mp3_sounds_alike(tmp_path):
     audio = synthesize(SCORE)
     write_sound(tmp_path / "A.MP3", audio)
-    heard = read(tmp_path / "A.MP3")
-    assert len(heard) == len(audio)
-    assert np.corrcoef(heard[:, 0], audio[:][:, 0])[0, 1] > 0.99
+    samples = read(tmp_path / "A.MP3")
+    assert len(samples) == len(audio)
+    assert np.corrcoef(samples[:, 0], audio[:][:, 0])[0, 1] > 0.99
     assert (tmp_path / "A.MP3").stat().st_size < 0.3 * 4 * len(audio)
 
 

@@ -52,8 +52,8 @@ RUN = Curve(
 
 def charts(page: str) -> dict[str, dict]:
     """Title -> what is given to be drawn."""
-    found = re.findall(r'class="plot"><h3>(.*?)</h3>.*?json">(.*?)</script>', page, re.DOTALL)
-    return {html.unescape(title): json.loads(chart) for title, chart in found}
+    charts = re.findall(r'class="plot"><h3>(.*?)</h3>.*?json">(.*?)</script>', page, re.DOTALL)
+    return {html.unescape(title): json.loads(chart) for title, chart in charts}
 
 
 def lines(page: str, title: str) -> dict[str, list[tuple[float, float]]]:

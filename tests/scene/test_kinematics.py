@@ -60,7 +60,7 @@ def test_points_on_links_move_as_in_mujoco(config):
     at = begin + share * (end - begin)
     along = links.along(posture, finger, link, at, direction)
     model, data = scene.model, mujoco.MjData(scene.model)
-    for i, found in enumerate(along):
+    for i, forces in enumerate(along):
         side, own = divmod(int(finger[i]), len(scene.hand.fingers))
         body = prefix(scene.sides[side]) + scene.hand.fingers[own].links[link[i]]
         data.qpos[scene.hand_qpos] = postures[posture[i]] @ servos.joints
@@ -70,7 +70,7 @@ def test_points_on_links_move_as_in_mujoco(config):
         mujoco.mj_jac(model, data, of_joints, None, at[i], model.body(body).id)
         expected = direction[i] @ of_joints[:, scene.hand_qvel] @ servos.joints.T
         ours = scene.servos_on(scene.sides[side])
-        np.testing.assert_allclose(found, expected[ours], atol=1e-12)
+        np.testing.assert_allclose(forces, expected[ours], atol=1e-12)
 
 
 def test_links_are_where_their_bodies_are():
@@ -117,8 +117,8 @@ def test_reaction_is_what_inverse_dynamics_say(moving):
     mujoco.mj_inverse(scene.model, data)
     needed = data.qfrc_inverse + data.qfrc_passive + data.qfrc_constraint
     expected = needed[scene.hand_qvel] @ servos.joints.T - servos.inertia * change / dt**2
-    found = Reaction(scene, servos).along(postures, dt)[2]
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    forces = Reaction(scene, servos).along(postures, dt)[2]
+    np.testing.assert_allclose(forces, expected, atol=1e-9)
 
 
 def test_coordinates_of_joints_do_not_depend_on_the_threads_of_linear_algebra():

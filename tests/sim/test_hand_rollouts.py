@@ -44,15 +44,15 @@ class Alone:
 def test_a_hand_on_the_keys_near_it_moves_as_on_all(side):
     scene, servos, _ = hand_alone(build_scene(), side)
     actions = load_plan(RECORDED).actions[:, :-1][:, servos]
-    whole, there = PlanningSimulation(scene), PlanningSimulation(scene)
-    rollouts = HandRollouts(scene, whole.control_timestep)
+    simulation, there = PlanningSimulation(scene), PlanningSimulation(scene)
+    rollouts = HandRollouts(scene, simulation.control_timestep)
     fingers = scene.present_fingers
     touched = False
     for step in range(len(actions) - AHEAD):
         if step % 5 == 0:
-            there.copy_from(whole, 0)
-            y = whole.state.fingertip_xpos[0, fingers, 1]
-            rollouts.start_from(whole, y.min(), y.max())
+            there.copy_from(simulation, 0)
+            y = simulation.state.fingertip_xpos[0, fingers, 1]
+            rollouts.start_from(simulation, y.min(), y.max())
             assert rollouts.keys.stop - rollouts.keys.start < 40
             ahead = actions[step : step + AHEAD]
             for (key_path, fingertips), ctrl in zip(rollouts.run(ahead), ahead, strict=True):
@@ -65,7 +65,7 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side):
                 touched |= bool((key_qpos > 0.5 * scene.keyboard.travel[rollouts.keys]).any())
             assert not rollouts.unstable()
             np.testing.assert_array_equal(rollouts.fingertips(), fingertips)
-        whole.step(actions[step][None])
+        simulation.step(actions[step][None])
     assert touched
 
 
@@ -123,22 +123,22 @@ def test_fingertips_move_with_servos_as_the_jacobian_says():
 @pytest.mark.parametrize("hand", ["shadow", "allegro"])
 def test_a_reduced_model_keeps_joints_servos_and_weight(hand):
     scene = build_scene(SceneConfig(hands="left", hand=hand))
-    whole, some = scene.model, reduced_model(scene, range(30, 50), colliding_parts(scene))
+    model, some = scene.model, reduced_model(scene, range(30, 50), colliding_parts(scene))
     joints = [some.joint(j).name for j in range(some.njnt)]
     assert joints == [
         name
-        for name in (whole.joint(j).name for j in range(whole.njnt))
+        for name in (model.joint(j).name for j in range(model.njnt))
         if "key" not in name or 30 <= int(name.rsplit("_", 1)[1]) < 50
     ]
     assert [some.actuator(a).name for a in range(some.nu)] == list(scene.actuator_names)
     body = mujoco.mjtObj.mjOBJ_BODY
     names = [mujoco.mj_id2name(some, body, b) for b in range(1, some.nbody)]
-    same = [mujoco.mj_name2id(whole, body, name) for name in names]
-    np.testing.assert_allclose(some.body_mass[1:], whole.body_mass[same])
-    np.testing.assert_allclose(some.body_inertia[1:], whole.body_inertia[same])
-    kept = [whole.joint(name).dofadr[0] for name in joints]
-    np.testing.assert_allclose(some.dof_damping, whole.dof_damping[kept], rtol=1e-12)
-    assert some.ngeom < 0.5 * whole.ngeom
+    same = [mujoco.mj_name2id(model, body, name) for name in names]
+    np.testing.assert_allclose(some.body_mass[1:], model.body_mass[same])
+    np.testing.assert_allclose(some.body_inertia[1:], model.body_inertia[same])
+    kept = [model.joint(name).dofadr[0] for name in joints]
+    np.testing.assert_allclose(some.dof_damping, model.dof_damping[kept], rtol=1e-12)
+    assert some.ngeom < 0.5 * model.ngeom
 
 
 def test_models_are_few_however_far_a_hand_goes_and_the_same_when_made_again(monkeypatch):

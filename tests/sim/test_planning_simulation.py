@@ -82,8 +82,8 @@ def test_another_scene_goes_on_from_a_physics_state(sleeping):
     for ctrl in list(controls(waking, 1, seed=5))[:2]:
         original.step(ctrl)
         others.step(np.tile(ctrl, (2, 1)))
-    for expected, found in zip(original.state, others.state, strict=True):
-        assert_allclose(found[1], expected[0], rtol=0, atol=1e-3 * sleeping)
+    for expected, actual in zip(original.state, others.state, strict=True):
+        assert_allclose(actual[1], expected[0], rtol=0, atol=1e-3 * sleeping)
 
 
 def test_coordinates_are_those_of_keys_and_hands(scene):

@@ -47,11 +47,11 @@ def test_a_performance_resets_and_a_world_that_diverges(scene, ctrl):
         simulation.step(given, [0, 2] if step % 2 else None)
         ours, theirs = simulation.state, nominal.state
         for name in ("key_qpos", "key_xpos", "hand_qpos", "fingertip_xpos"):
-            expected, found = getattr(theirs, name)[0], getattr(ours, name)[0]
-            assert_allclose(found, expected, atol=POSITIONS, err_msg=f"{name} {step}")
+            expected, actual = getattr(theirs, name)[0], getattr(ours, name)[0]
+            assert_allclose(actual, expected, atol=POSITIONS, err_msg=f"{name} {step}")
         for name in ("hand_qvel", "actuator_velocity", "actuator_force"):
-            expected, found = getattr(theirs, name)[0], getattr(ours, name)[0]
-            assert_allclose(found, expected, atol=SPEEDS, err_msg=f"{name} {step}")
+            expected, actual = getattr(theirs, name)[0], getattr(ours, name)[0]
+            assert_allclose(actual, expected, atol=SPEEDS, err_msg=f"{name} {step}")
         assert_array_equal(np.isnan(ours.key_onset[0]), np.isnan(theirs.key_onset[0]))
         assert_allclose(ours.key_onset[0], theirs.key_onset[0], atol=TIMES)
         assert_array_equal(ours.forearm_contact[0], theirs.forearm_contact[0])
@@ -97,6 +97,6 @@ def test_randomized_worlds_with_late_controls(scene, ctrl):
         for each in (ours, theirs):
             each.step(np.tile(row, (2, 1)), None, HeldControls(np.tile(before, (2, 1)), late))
         for name in ("key_qpos", "hand_qpos", "fingertip_xpos"):
-            found, expected = getattr(ours.state, name), getattr(theirs.state, name)
-            assert_allclose(found, expected, atol=POSITIONS, err_msg=name)
+            actual, expected = getattr(ours.state, name), getattr(theirs.state, name)
+            assert_allclose(actual, expected, atol=POSITIONS, err_msg=name)
     assert abs(theirs.state.hand_qpos[0] - theirs.state.hand_qpos[1]).max() > 0.01

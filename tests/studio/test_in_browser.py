@@ -173,8 +173,8 @@ def test_what_is_shown_no_more_is_let_go(browser, address):
         wait(browser, "cadenza.live && cadenza.time > 0.3")
         browser.settle()
         browser.call("HeapProfiler.collectGarbage")
-        found = browser.call("Performance.getMetrics")["metrics"]
-        metrics = {metric["name"]: metric["value"] for metric in found}
+        values = browser.call("Performance.getMetrics")["metrics"]
+        metrics = {metric["name"]: metric["value"] for metric in values}
         return metrics["JSEventListeners"], metrics["Nodes"]
 
     listeners, nodes = counted()
@@ -190,7 +190,7 @@ def test_one_can_go_back_and_forth(browser, address):
     visit(browser, address)
     press(browser, "#kept", "Watch")
     wait(browser, "cadenza.time > 0.5")
-    whole = browser.evaluate("cadenza.live.steps * cadenza.live.dt")
+    length = browser.evaluate("cadenza.live.steps * cadenza.live.dt")
     scrub = "((scrub) => { scrub.value = 2; scrub.dispatchEvent(new Event('input')); })"
     browser.evaluate(f"{scrub}(document.getElementById('scrub'))")
     browser.settle()
@@ -205,7 +205,7 @@ def test_one_can_go_back_and_forth(browser, address):
     assert last // 88 * 0.05 <= time + 0.05  # nothing later is shown as played
     browser.evaluate("cadenza.seek(99)")
     browser.settle()
-    assert browser.evaluate("cadenza.time") == pytest.approx(whole, abs=1e-6)
+    assert browser.evaluate("cadenza.time") == pytest.approx(length, abs=1e-6)
     browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ")
     wait(browser, "cadenza.finished")
     browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ")  # once more
@@ -223,13 +223,13 @@ def test_a_click_in_the_roll_goes_there(browser, address):
         const { x, y, width, height } = document.getElementById("roll").getBoundingClientRect();
         return [x + 44, y, width - 44, height]; // the names of the keys are 44 px wide
     })()""")
-    whole = browser.evaluate("cadenza.live.steps * cadenza.live.dt")
+    length = browser.evaluate("cadenza.live.steps * cadenza.live.dt")
     browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ")
     for kind in "mousePressed", "mouseReleased":
         where = {"x": left + 0.5 * width, "y": top + 0.3 * height}
         browser.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **where)
     browser.settle()
-    assert browser.evaluate("cadenza.time") == pytest.approx(0.5 * whole, abs=0.1)
+    assert browser.evaluate("cadenza.time") == pytest.approx(0.5 * length, abs=0.1)
     assert browser.problems() == []
 
 

@@ -150,8 +150,12 @@ def test_performances_are_found_again_and_removed(songs):
     (songs.folder / id / "report.html").write_text("report")
     (songs.folder / "fedcba9876543210").mkdir()  # somebody else's
     again = Storage(songs.folder)
-    (found,) = again.performances()
-    assert (found["id"], found["title"], found["files"]) == (id, "Ode", ["report.html"])
+    (performance,) = again.performances()
+    assert (performance["id"], performance["title"], performance["files"]) == (
+        id,
+        "Ode",
+        ["report.html"],
+    )
     assert again.file(id, "report.html").read_text() == "report"
     for wrong in (id, "settings.json"), (id, "../x"), ("..", "report.html"), ("x", "report.html"):
         with pytest.raises(CadenzaError, match="there is no such"):

@@ -180,10 +180,10 @@ def test_what_is_kept_is_told_again(client, tmp_path):
         assert (message["title"], message["request"]["song"]) == ("Ode", "OdeToJoy")
         assert socket.receive_json()["state"] == "kept"
         assert socket.receive_json() == {"steps": 3}
-        heard = b""
-        while len(heard) < len(rows):
-            heard += socket.receive_bytes()
-        assert heard == rows
+        sound = b""
+        while len(sound) < len(rows):
+            sound += socket.receive_bytes()
+        assert sound == rows
         with pytest.raises(WebSocketDisconnect):
             socket.receive_bytes()
     for spoil in (
@@ -263,8 +263,8 @@ def test_whatever_lies_in_the_folders_the_lists_are_there(client, tmp_path, kind
         for method, path in (("DELETE", "songs"), ("DELETE", "performances")):
             gone = client.request(method, f"/TOKEN/api/{path}/{id}", headers=SAME)
             assert "\n" not in gone.json()["error"] if gone.content else True
-        wanted = client.post("/TOKEN/api/jobs", json={"song": id}, headers=SAME)
-        assert wanted.json()["error"].startswith("there is no such song")
+        job = client.post("/TOKEN/api/jobs", json={"song": id}, headers=SAME)
+        assert job.json()["error"].startswith("there is no such song")
         Studio(studio)  # starts again
 
 
@@ -275,9 +275,9 @@ def test_lists_survive_what_vanishes_while_they_are_made(client, tmp_path, monke
     (studio / "uploads" / "0123456789abcdef.json").write_text("{}")
 
     def then_gone(path: Path, pattern: str) -> list[Path]:
-        found = list(glob(path, pattern))
+        paths = list(glob(path, pattern))
         shutil.rmtree(path, ignore_errors=True)
-        return found
+        return paths
 
     monkeypatch.setattr(Path, "glob", then_gone)
     for name in "songs", "performances":
@@ -294,15 +294,15 @@ def test_a_file_that_is_deleted_before_it_is_sent_is_not_there(client, tmp_path,
 
 def address_of(folder: Path, known: Path | None = None) -> str:
     """The address of a studio that stops as soon as it prints it."""
-    heard = list[str]()
+    messages = list[str]()
 
     def stop(address: str) -> None:
-        heard.append(address)
+        messages.append(address)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         serve(Studio(folder).app, ready=stop, address_file=known)
-    (address,) = heard
+    (address,) = messages
     return address
 
 
@@ -450,10 +450,10 @@ def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch(tmp_path
         def watching() -> socket.socket:
             page = socket.create_connection(("127.0.0.1", url.port or 0), timeout=20)
             page.sendall(hello)
-            heard = b""
-            while b"queued" not in heard:
-                heard += (part := page.recv(4096))
-                assert part, heard
+            received = b""
+            while b"queued" not in received:
+                received += (part := page.recv(4096))
+                assert part, received
             return page
 
         with watching() as other:

@@ -170,10 +170,10 @@ def test_actions_arrive_when_they_do_on_the_cpu(scene, latency):
         _, held = listening.arrived
         assert_allclose(others["held"].ctrl, held.ctrl, atol=1e-6)
         assert_array_equal(others["held"].substeps, held.substeps)
-        whole, part = divmod(round(latency / scene.model.opt.timestep), 10)
+        steps, part = divmod(round(latency / scene.model.opt.timestep), 10)
         assert_array_equal(held.substeps, part)
-        if step >= whole:
-            assert_allclose(ours, sent[step - whole], atol=1e-6)
+        if step >= steps:
+            assert_allclose(ours, sent[step - steps], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_sensors_are_those_of_the_cpu(scene, on):
     """As far off, and as late: joints, keys, touch, and when and how loud keys sounded."""
     config = DomainRandomization(**on, seed=4)
     listening, host, device, draws, key = begun(config, scene)
-    rng, heard = np.random.default_rng(0), 0
+    rng, onsets = np.random.default_rng(0), 0
     for _ in range(8):
         way = Path.still(listening.state, 11)
         way = Path(*(values + 0.01 * rng.random(values.shape) for values in way))
@@ -247,8 +247,8 @@ def test_sensors_are_those_of_the_cpu(scene, on):
         ours = device.sensed(draws, on_device)
         for name in ("hand_qpos", "hand_qvel", "key_qpos", "touch", *EVENTS):
             assert_allclose(getattr(ours, name), getattr(expected, name), atol=2e-6, err_msg=name)
-        heard += np.isfinite(expected.key_onset).sum()
-    assert heard > 20
+        onsets += np.isfinite(expected.key_onset).sum()
+    assert onsets > 20
     assert abs(expected.hand_qpos - state.hand_qpos).max() > 1e-3
 
 

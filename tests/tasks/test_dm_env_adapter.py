@@ -48,9 +48,9 @@ def test_parts_are_those_of_the_environment():
     env = PianoEnv(SHORT)
     adapter = DmEnvAdapter(env, seed=1)
     parts = adapter.reset().observation
-    whole, _ = PianoEnv(SHORT).reset(seed=1)
+    observation, _ = PianoEnv(SHORT).reset(seed=1)
     assert list(parts) == list(env.observation_layout)
-    np.testing.assert_array_equal(np.concatenate(list(parts.values())), whole)
+    np.testing.assert_array_equal(np.concatenate(list(parts.values())), observation)
 
 
 def test_the_seed_is_that_of_the_first_episode_and_the_others_draw_on():
@@ -65,9 +65,9 @@ def test_the_seed_is_that_of_the_first_episode_and_the_others_draw_on():
 
 def test_takes_what_gymnasium_makes():
     adapter = DmEnvAdapter(gym.make("cadenza/Piano-v0", song=SHORT, max_episode_steps=2), seed=1)
-    whole, _ = PianoEnv(SHORT).reset(seed=1)
+    observation, _ = PianoEnv(SHORT).reset(seed=1)
     parts = adapter.reset().observation
-    np.testing.assert_array_equal(np.concatenate(list(parts.values())), whole)
+    np.testing.assert_array_equal(np.concatenate(list(parts.values())), observation)
     assert not adapter.step(np.zeros(39, np.float32)).last()
     assert adapter.step(np.zeros(39, np.float32)).last()
 

@@ -62,10 +62,10 @@ def test_states_that_cannot_be():
 
 
 def test_an_episode_begins_within_its_song():
-    whole, part = (PianoEnv(UP, initial_buffer_time=0.0) for _ in range(2))
-    whole.reset(seed=0)
+    full, part = (PianoEnv(UP, initial_buffer_time=0.0) for _ in range(2))
+    full.reset(seed=0)
     for _ in range(8):
-        later, *_ = whole.step(np.zeros(39))
+        later, *_ = full.step(np.zeros(39))
     observation, _ = part.reset(seed=0, options={"step": 8})
     goal = part.observation_layout["goal"]
     assert_array_equal(observation[goal], later[goal])

@@ -74,9 +74,9 @@ def test_says_which_notes_no_finger_is_there_for():
     ("song", "fingering", "hands", "rewarded"),
     [
         (GIVEN, "auto", "both", "score"),
-        (SONG, "auto", "both", "found"),
-        (GIVEN, "robot", "both", "found"),
-        (GIVEN, "human", "both", "found"),
+        (SONG, "auto", "both", "search"),
+        (GIVEN, "robot", "both", "search"),
+        (GIVEN, "human", "both", "search"),
         (GIVEN, "transport", "both", "transport"),
         (GIVEN, "off", "both", "off"),
         (GIVEN, "auto", "none", "off"),

@@ -143,8 +143,8 @@ def test_lookahead(scenes, options, rows):
 
 @pytest.mark.parametrize("lookahead", [0, 4, 30])
 def test_the_goal_moves_on_by_a_row_a_step_and_is_seen_once_more_at_the_end(scenes, lookahead):
-    whole = Player(scenes["both"], n_steps_lookahead=9).goal()[0]
-    padded = np.vstack([whole, np.zeros((lookahead + 1, ROW))])
+    goal = Player(scenes["both"], n_steps_lookahead=9).goal()[0]
+    padded = np.vstack([goal, np.zeros((lookahead + 1, ROW))])
     player = Player(scenes["both"], n_steps_lookahead=lookahead)
     for step in (*range(10), 9):  # the last observation repeats the last goal
         assert_array_equal(player.goal()[0], padded[step : step + lookahead + 1])
@@ -304,9 +304,9 @@ def test_a_song_without_fingering_gets_one(scenes, hands, fingers):
 
 def test_known_fingers_stay_when_the_others_are_found(scenes):
     notes = (SONG.notes[0], *UNFINGERED.notes[1:])
-    found = Player(scenes["both"], Score(notes)).task.goals.scores[0]
-    assert found.notes[0].finger == SONG.notes[0].finger
-    assert all(note.finger for note in found.notes)
+    score = Player(scenes["both"], Score(notes)).task.goals.scores[0]
+    assert score.notes[0].finger == SONG.notes[0].finger
+    assert all(note.finger for note in score.notes)
 
 
 def test_reset_begins_anew(scenes):

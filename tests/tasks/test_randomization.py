@@ -245,16 +245,16 @@ def late(scene: Scene, latency: float, steps: int = 8) -> tuple[PianoTask, NDArr
 def test_an_action_arrives_after_its_latency(scene):
     """Within a control step as MuJoCo's own steps have it, and steps later for longer ones."""
     _, at_once = late(scene, 0.0)
-    _, whole = late(scene, 0.1)
+    _, late_step = late(scene, 0.1)
     _, part = late(scene, 0.12)
     slide = scene.slide_joints[0]
     start = late(scene, 0.0, 0)[0].state.hand_qpos[0, slide]
-    assert_allclose(whole[:2, slide], start, atol=1e-3)  # rests until then
-    assert_allclose(whole[2:, slide] - start, at_once[:-2, slide] - start, rtol=0.05, atol=1e-4)
-    moved = np.abs(np.stack([at_once, whole, part])[:, :, slide] - start)
+    assert_allclose(late_step[:2, slide], start, atol=1e-3)  # rests until then
+    assert_allclose(late_step[2:, slide] - start, at_once[:-2, slide] - start, rtol=0.05, atol=1e-4)
+    moved = np.abs(np.stack([at_once, late_step, part])[:, :, slide] - start)
     assert (moved[1, 2:] > moved[2, 2:]).all()
     assert (moved[2, 3:] > moved[1, 2:-1]).all()
-    assert [rows[:4, -1].tolist() for rows in (at_once, whole, part)] == [
+    assert [rows[:4, -1].tolist() for rows in (at_once, late_step, part)] == [
         [1, 1, 1, 1],
         [0, 0, 1, 1],
         [0, 0, 1, 1],  # at the end of the third step, it has arrived
@@ -361,19 +361,19 @@ def test_observations_are_late_by_physics_steps(scene):
 
 def test_onsets_are_heard_when_they_arrive():
     """A key of a piano that plays itself sounds, and is heard 0.12 s later, as loud."""
-    heard = []
+    onsets = []
     for late in (0.0, 0.12):
         config = TaskConfig(randomization=DomainRandomization(observation_latency=(late, late)))
         task = begun(PianoTask([TUNE], config, SceneConfig(hands="none")))
         for step in range(8):
             task.step(np.where(np.arange(89) == 40, task.spec.action_high, 0.0)[None])
             if np.isfinite(task.sensed.key_onset[0, 40]):
-                heard.append(
+                onsets.append(
                     (step * 0.05 + task.sensed.key_onset[0, 40], task.sensed.key_speed[0, 40])
                 )
-    assert len(heard) == 2
-    assert heard[1][0] - heard[0][0] == pytest.approx(0.12)
-    assert heard[1][1] == heard[0][1]
+    assert len(onsets) == 2
+    assert onsets[1][0] - onsets[0][0] == pytest.approx(0.12)
+    assert onsets[1][1] == onsets[0][1]
 
 
 def test_biases_stay_and_drift_wanders(scene):

@@ -119,7 +119,9 @@ def _contenders(
     fixed = {name: _contender(command, read, name) for name in agents if name != PRETRAINED}
 
     def contenders(song: str) -> list[Contender]:
-        candidates = (fixed[name] if name in fixed else _pretrained(read, song) for name in agents)
+        candidates = (
+            fixed[name] if name in fixed else _pretrained(command, read, song) for name in agents
+        )
         return [contender for contender in candidates if contender is not None]
 
     return contenders
@@ -133,17 +135,15 @@ def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
 
     if agent.startswith(TRAIN):
         return _trained(command, read, agent)
-    if (Path(agent) / PRACTISED).is_file():
-        return _practised(command, read, agent)
     if is_folder(agent):
         folder = policy_folder(agent)
-        return _with_policy(read, pinned(agent, folder), folder)
+        return _from_folder(command, read, pinned(agent, folder), folder)
     config = command.configs.get(agent)
     make_agent(agent, config)  # an unknown agent is an error before any plays
     return Contender(agent, command.task, command.scene, config, digest_of_files(config))
 
 
-def _pretrained(read: Read[Bench], song: str) -> Contender | None:
+def _pretrained(command: Bench, read: Read[Bench], song: str) -> Contender | None:
     """The policy that comes with the song; None, with a warning, if there is none."""
     from cadenza.learning.pretrained import pretrained_folder
 
@@ -153,29 +153,22 @@ def _pretrained(read: Read[Bench], song: str) -> Contender | None:
         what = f"{song}: left out for {PRETRAINED}, no policy comes with it"
         warnings.warn(what, CadenzaWarning, stacklevel=2)
         return None
-    return _with_policy(read, PRETRAINED, folder)
+    return _from_folder(command, read, PRETRAINED, folder)
 
 
-def _with_policy(read: Read[Bench], agent: str, folder: Path) -> Contender:
+def _from_folder(command: Bench, read: Read[Bench], agent: str, folder: Path) -> Contender:
+    """A policy or practised hands, which play as they learnt unless an option says otherwise."""
     from cadenza.evaluation.jobs import Contender
     from cadenza.files import sha256_of
-    from cadenza.learning.policy_folder import POLICY_FILE, load_policy
-
-    learnt = load_policy(folder)
-    own = read(task=learnt.task, scene=learnt.scene)
-    digest = sha256_of(folder / POLICY_FILE)[:12]
-    return Contender(agent, own.task, own.scene, agent_digest=digest)
-
-
-def _practised(command: Bench, read: Read[Bench], agent: str) -> Contender:
-    from cadenza.evaluation.jobs import Contender
-    from cadenza.files import sha256_of
+    from cadenza.learning.policy_folder import POLICY_FILE
     from cadenza.performing.setup import find_player
 
-    player = find_player(agent, configs=command.configs)
+    player = find_player(folder, configs=command.configs)
     own = read(task=player.task, scene=player.scene)
-    digest = sha256_of(Path(agent) / PRACTISED)[:12]
-    return Contender(agent, own.task, own.scene, command.configs.get(PLANNER), digest)
+    name, config = POLICY_FILE, None
+    if player.policy is None:
+        name, config = PRACTISED, command.configs.get(PLANNER)
+    return Contender(agent, own.task, own.scene, config, sha256_of(folder / name)[:12])
 
 
 def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:

@@ -106,9 +106,9 @@ def _about_fingering(score: Score) -> str:
 
     given = sum(note.finger is not None for note in score.notes)
     reasons = Counter(playable(score, usual_players()).reasons.values())
-    num_found = len(score.notes) - given - reasons.total()
+    num_searched = len(score.notes) - given - reasons.total()
     parts = [f"given for {given} of {counted(len(score.notes), 'note')}"]
-    parts += [f"found for {num_found}"] if num_found else []
+    parts += [f"found for {num_searched}"] if num_searched else []
     parts += [f"none for {count} ({reason})" for reason, count in reasons.most_common()]
     return "; ".join(parts)
 

@@ -110,7 +110,7 @@ def _with_robot(command: PracticeCommand, robot: str) -> None:
         check_writable(folder)
         for plays, actions in practise(setup, robot, command.profile):
             save(folder, plays, actions)
-            print(f"play {len(plays.heard)}: {_scores(*plays.heard[-1])}", flush=True)
+            print(f"play {len(plays.scores)}: {_scores(*plays.scores[-1])}", flush=True)
         print(f"scored: {_scores(plays.metrics['f1'], plays.metrics['note_onset_f1'])}")
         print(f"wrote {folder}")
 

@@ -36,7 +36,7 @@ class RobotPlays:
     """The seed of a simulated robot, or the driver of another."""
     profile: Profile
     """The profile that it was drawn from, or resembles."""
-    heard: tuple[tuple[float, float], ...]
+    scores: tuple[tuple[float, float], ...]
     """F1 and note onset F1 of every play, by what was heard."""
     metrics: dict[str, float]
     """Metrics of the last play, which is scored: true ones of simulated robots, else as heard."""

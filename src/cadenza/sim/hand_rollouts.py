@@ -32,16 +32,18 @@ class HandRollouts:
 
     keys: slice
 
-    def __init__(self, scene: Scene, control_timestep: float, whole: Scene | None = None) -> None:
+    def __init__(
+        self, scene: Scene, control_timestep: float, full_scene: Scene | None = None
+    ) -> None:
         """Prepare rollouts of the hand of a scene, which begin after a call of `start_from`.
 
-        They start in states of simulations of the `whole` scene, by default this one.
+        They start in states of simulations of the `full_scene`, by default this one.
         """
-        self._scene, self._whole = scene, whole or scene
+        self._scene, self._full_scene = scene, full_scene or scene
         self._servos = servos_of(scene)
         self._substeps = round(control_timestep / scene.model.opt.timestep)
         self._parts = colliding_parts(scene)
-        self._state = mujoco.MjData(self._whole.model)
+        self._state = mujoco.MjData(self._full_scene.model)
         self._models: dict[range, _HandOnKeys] = {}
 
     def start_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
@@ -53,7 +55,7 @@ class HandRollouts:
         self.keys = slice(keys.start, keys.stop)
         model = self._models.pop(keys, None)
         self._model = model or _HandOnKeys(
-            self._scene, keys, self._parts, self._whole, self._substeps
+            self._scene, keys, self._parts, self._full_scene, self._substeps
         )
         self._models[keys] = self._model
         if len(self._models) > _MAX_MODELS:
@@ -144,14 +146,14 @@ class _HandOnKeys:
     """
 
     def __init__(
-        self, scene: Scene, keys: range, parts: frozenset[Part], whole: Scene, substeps: int
+        self, scene: Scene, keys: range, parts: frozenset[Part], full_scene: Scene, substeps: int
     ) -> None:
         self.model = reduced_model(scene, keys, parts, substeps)
         self._substeps = substeps
         self.start = mujoco.MjData(self.model)
         self.data = mujoco.MjData(self.model)
         self.posed, self._room = mujoco.MjData(self.model), list[mujoco.MjData]()
-        joints = [whole.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
+        joints = [full_scene.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
         self.keys = slice(0, len(keys))
@@ -159,13 +161,13 @@ class _HandOnKeys:
         sites = [scene.model.site(site).name for site in scene.fingertip_sites]
         self.fingertips = [self.model.site(name).id for name in sites]
 
-    def start_from(self, whole: mujoco.MjData) -> None:
-        """Take over the state of the `whole` scene, and which keys sleep."""
+    def start_from(self, data: mujoco.MjData) -> None:
+        """Take over the state of the full scene, and which keys sleep."""
         start = self.start
         mujoco.mj_resetData(self.model, start)
-        start.qpos, start.qvel = whole.qpos[self._qpos], whole.qvel[self._dofs]
-        start.qacc_warmstart = whole.qacc_warmstart[self._dofs]
-        asleep = whole.tree_asleep[whole.model.dof_treeid[self._dofs]]
+        start.qpos, start.qvel = data.qpos[self._qpos], data.qvel[self._dofs]
+        start.qacc_warmstart = data.qacc_warmstart[self._dofs]
+        asleep = data.tree_asleep[data.model.dof_treeid[self._dofs]]
         start.tree_asleep[self.model.dof_treeid] = np.where(asleep >= 0, _READY_TO_SLEEP, asleep)
         mujoco.mj_kinematics(self.model, start)  # where fingertips are
 

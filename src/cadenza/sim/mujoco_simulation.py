@@ -274,9 +274,9 @@ def physics_steps(control_timestep: float, physics_timestep: float) -> int:
     return steps_of(control_timestep, physics_timestep, "control_timestep", "the physics step")
 
 
-def steps_of(whole: float, part: float, name: str, part_name: str) -> int:
+def steps_of(duration: float, part: float, name: str, part_name: str) -> int:
     """The number of steps of length `part` in a time [s]; raises CadenzaError if not whole."""
-    steps = round(whole / part)
-    if steps < 1 or abs(steps * part - whole) > 1e-9:
-        raise CadenzaError(f"{name} {whole} s is not a multiple of {part_name} {part} s")
+    steps = round(duration / part)
+    if steps < 1 or abs(steps * part - duration) > 1e-9:
+        raise CadenzaError(f"{name} {duration} s is not a multiple of {part_name} {part} s")
     return steps

@@ -171,7 +171,7 @@ def draw_track(
         score = _randomly_transposed(score, config.random_octave_shift, _OCTAVE, pitches, rng)
     if score is track.score:
         return track
-    if not track.found:
+    if not track.searched:
         return track.with_score(score)
     if score is stretched:
         return replace(track, score=score)

@@ -30,17 +30,17 @@ class GoalTrack:
     dropped: tuple[Dropped, ...] | None
     config: TaskConfig  # the task's options
     scene: Scene  # the hands and the keys
-    found: bool = False  # whether a search found all fingers, because the song gives none
+    searched: bool = False  # whether a search found all fingers, because the song gives none
     _cached: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
 
     def __repr__(self) -> str:
         return f"GoalTrack({self.score!r}, {self.scene!r})"
 
     @property
-    def rewarded_fingers(self) -> Literal["score", "found", "transport", "off"]:
+    def rewarded_fingers(self) -> Literal["score", "search", "transport", "off"]:
         """The source of the fingers that the task rewards.
 
-        score: the song, and a search for notes without fingers; found: a search for all notes;
+        score: the song, and a search for notes without fingers; search: a search for all notes;
         transport: optimal transport from fingertips to keys; off: no fingers are rewarded.
         """
         chosen = self.config.fingering
@@ -48,7 +48,7 @@ class GoalTrack:
             return "off"
         if chosen == "transport":
             return chosen
-        return "found" if self.found else "score"
+        return "search" if self.searched else "score"
 
     @property
     def silent_steps(self) -> int:
@@ -102,7 +102,7 @@ class GoalTrack:
 
     def with_score(self, score: Score) -> GoalTrack:
         """The track with another score, whose fingers have not been searched for."""
-        return replace(self, score=score, dropped=None, found=False)
+        return replace(self, score=score, dropped=None, searched=False)
 
     def fingered(self, progress: Callable[[int, int], None] | None = None) -> GoalTrack:
         """Find a finger for every note that the hands can play, unless that was done before.
@@ -122,11 +122,11 @@ class GoalTrack:
         else:
             as_written = self.config.hands_as_written
             fingered, dropped = find_fingering(score, players, progress, as_written=as_written)
-        return replace(self, score=fingered, dropped=dropped, found=not score.has_fingering)
+        return replace(self, score=fingered, dropped=dropped, searched=not score.has_fingering)
 
     def with_found_fingers(self) -> GoalTrack:
         """The track without the fingers that the song gives, if it gives any."""
-        return self if self.found else self.with_score(self.score.without_fingers())
+        return self if self.searched else self.with_score(self.score.without_fingers())
 
 
 def check_written_hands(config: TaskConfig, score: Score, name: str) -> None:

@@ -102,7 +102,7 @@ def with_nearest_fingers(track: GoalTrack) -> GoalTrack:
             if index is None:
                 dropped.append(Dropped(notes[i], "no free finger of the hand comes near enough"))
     score = replace(searched.score, notes=tuple(notes))
-    return replace(searched, score=score, dropped=tuple(dropped), found=True)
+    return replace(searched, score=score, dropped=tuple(dropped), searched=True)
 
 
 def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[int | None]:

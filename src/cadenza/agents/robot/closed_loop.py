@@ -102,7 +102,7 @@ class ClosedLoop:
         self.sensors_late = max(response.late - actions_late, 0.0)
         self.response = response._replace(late=actions_late)
         seconds = len(sent) * self._dt
-        return scores_heard(self._track, notes_heard(play.heard, seconds, self.sensors_late))
+        return scores_heard(self._track, notes_heard(play.messages, seconds, self.sensors_late))
 
     def _simulated(self, setpoints: Array, late: float) -> Array:
         """Simulated positions (T, A) of servos for setpoints (T, A) that arrive `late` [s].
@@ -112,8 +112,8 @@ class ClosedLoop:
         scene = with_servo_damping(self._scene, self.response.damping)
         model, rest = PlanningSimulation(scene, 1, self._dt), self._start @ self._servos.of_joints
         model.set_joints(self._start, np.zeros_like(self._start), self._view.state.key_qpos[0])
-        whole, part = divmod(round(late / scene.model.opt.timestep), model.num_substeps)
-        sent = np.concatenate([np.zeros((whole + 1, len(rest))), setpoints]) + rest
+        steps, part = divmod(round(late / scene.model.opt.timestep), model.num_substeps)
+        sent = np.concatenate([np.zeros((steps + 1, len(rest))), setpoints]) + rest
         joints = []
         for before, now in pairwise(sent[: len(setpoints) + 1]):
             model.step(now[None], None, HeldControls(before[None], np.array([part])))

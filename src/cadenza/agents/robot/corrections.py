@@ -15,7 +15,7 @@ from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.strike_model import strike_model
 from cadenza.agents.planner.search.fingertip_correction import servo_corrections
-from cadenza.agents.planner.search.strikes import UNIT, as_heard
+from cadenza.agents.planner.search.strikes import UNIT, log_speed
 from cadenza.agents.robot.places import HandPlaces
 from cadenza.fingers import SIDES
 from cadenza.music.score import Note
@@ -192,10 +192,10 @@ class NoteCorrections:
         for press, row, time in zip(self._presses, self._rows, due, strict=True):
             tip = tips[press.first : press.last, row][:_STRIKING].mean(axis=0)
             others = keys[(abs(due - time) < 2 * _MAX_LATENESS) & (keys != press.key)]
-            heard = np.array(
+            sounding = np.array(
                 [n.pitch - lowest for n in notes if abs(n.start - time) < _MAX_LATENESS]
             )
-            self._places.strike(row // self._fingers, press.key, tip, others, heard)
+            self._places.strike(row // self._fingers, press.key, tip, others, sounding)
             if down := self._down(press, notes):
                 self._places.hold(row // self._fingers, float(lower[down, row].mean()))
 
@@ -280,8 +280,8 @@ class NoteCorrections:
             return
         keyboard = self._scene.keyboard
         lever = 2 * keyboard.white.half_size[0]  # nearly
-        heard = as_heard(keyboard.speed(max(note.velocity, 1)))
-        error = np.array([note.start - due, heard - np.log2(press.strike.speed)])
+        speed = log_speed(keyboard.speed(max(note.velocity, 1)))
+        error = np.array([note.start - due, speed - np.log2(press.strike.speed)])
         error = error.clip(-_MAX_ERROR, _MAX_ERROR) / _UNIT
         depth = np.tan(keyboard.sounds_from[press.key]) * lever
         response = self._model.response(

@@ -52,7 +52,7 @@ class HandPlaces:
         """Learn from a key that is down while its finger seems `lower` than the plan has it [m]."""
         self._heights[hand].append(lower)
 
-    def strike(self, hand: int, key: int, tip: Array, others: Array, heard: Array) -> None:
+    def strike(self, hand: int, key: int, tip: Array, others: Array, sounding: Array) -> None:
         """Learn from a strike.
 
         Args:
@@ -60,7 +60,7 @@ class HandPlaces:
             key: its key.
             tip: (3,) the place of the fingertip that joints show [m].
             others: keys of other strikes at that time, which are ignored.
-            heard: keys that began to sound at that time.
+            sounding: keys that began to sound at that time.
         """
         centre, half = self._keyboard.centre, self._keyboard.half_size
         first, last = max(key - _AROUND, 0), min(key + _AROUND + 1, self._keyboard.num_keys)
@@ -68,5 +68,5 @@ class HandPlaces:
         across = abs(tip[1] + _PLACES[:, None] - centre[keys, 1]) - half[keys, 1]
         away = np.maximum(across, tip[0] - centre[keys, 0] - half[keys, 0])
         sounds = _CHANCE + (1 - 2 * _CHANCE) / (1 + np.exp((away - _WIDTH) / _SOFT))
-        agrees = np.where(np.isin(keys, heard), sounds, 1 - sounds)
+        agrees = np.where(np.isin(keys, sounding), sounds, 1 - sounds)
         self._log_likely[hand] += np.log(agrees).sum(axis=1)

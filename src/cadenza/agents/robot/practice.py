@@ -117,7 +117,7 @@ class RobotPractice:
     def learn(self, play: Play) -> Take:
         """Learn from a play of `actions`, and return it with its scores."""
         seconds, late = len(play.actions) * self._dt, self.sensors_late
-        notes = notes_heard(play.heard, seconds, late)
+        notes = notes_heard(play.messages, seconds, late)
         measured = play.joints @ self._servos.of_joints
         # The true start is known: what sensors show beside it is their offset.
         measured += self._postures[0] - measured[0]
@@ -209,5 +209,5 @@ def learn_in_ten_plays(
         yield ScoredPlay(practised.actions, practised.f1, practised.note_onset_f1)
     _, best = max(policies, key=lambda scored: scored[0])
     result = play(robot, num_steps, best())
-    notes = notes_heard(result.heard, num_steps * dt, practice.sensors_late)
+    notes = notes_heard(result.messages, num_steps * dt, practice.sensors_late)
     yield ScoredPlay(result.actions, *scores_heard(track, notes))

@@ -15,7 +15,7 @@ from cadenza.music.score import LOUDEST, MIDI_PITCHES, Note, Score
 from cadenza.tasks.goal_track import GoalTrack
 
 
-class Heard(NamedTuple):
+class Message(NamedTuple):
     """A MIDI message of the instrument: the onset or the offset of a key."""
 
     time: float
@@ -29,7 +29,8 @@ class Heard(NamedTuple):
 class Robot(Protocol):
     """Hands at an instrument. Every driver has these five methods.
 
-    A play is `start`, `read`, then for each control step `send`, `read` and `heard`, then `stop`.
+    A play is `start`, `read`, then for each control step `send`, `read` and `messages`, then
+    `stop`.
     """
 
     def start(self) -> None:
@@ -41,7 +42,7 @@ class Robot(Protocol):
     def read(self) -> Array:
         """Wait for the end of the control step, and return the measured joints (J,) [m, rad]."""
 
-    def heard(self) -> list[Heard]:
+    def messages(self) -> list[Message]:
         """Messages of the instrument since the last call, by time."""
 
     def stop(self) -> None:
@@ -68,18 +69,18 @@ class CheckedRobot:
             )
         return joints
 
-    def heard(self) -> list[Heard]:
-        """See `Robot.heard`."""
-        return [self._message(each) for each in self._driver.heard()]
+    def messages(self) -> list[Message]:
+        """See `Robot.messages`."""
+        return [self._message(each) for each in self._driver.messages()]
 
-    def _message(self, given: Sequence[float]) -> Heard:
+    def _message(self, given: Sequence[float]) -> Message:
         time, pitch, velocity = map(float, given)
         if not (np.isfinite(time) and pitch in MIDI_PITCHES and 0 <= velocity <= LOUDEST):
             raise CadenzaError(
-                f"robot {self._name}: heard() returned {quoted(tuple(given))}: give the time [s], "
-                f"the MIDI number of the key, and 0 to {LOUDEST}"
+                f"robot {self._name}: messages() returned {quoted(tuple(given))}: give the time "
+                f"[s], the MIDI number of the key, and 0 to {LOUDEST}"
             )
-        return Heard(time, int(pitch), velocity)
+        return Message(time, int(pitch), velocity)
 
 
 class Play(NamedTuple):
@@ -89,7 +90,7 @@ class Play(NamedTuple):
     """(T, A) actions in actuator units, the pedal last."""
     joints: Array
     """(T + 1, J) measured joints before the first step and after each [m, rad]."""
-    heard: tuple[Heard, ...]
+    messages: tuple[Message, ...]
 
 
 Act = Callable[[int, Array], Array]
@@ -100,15 +101,15 @@ def play(robot: Robot, num_steps: int, act: Act) -> Play:
     """Play `num_steps` control steps."""
     robot.start()
     try:
-        joints, actions, heard = [robot.read()], list[Array](), list[Heard]()
+        joints, actions, messages = [robot.read()], list[Array](), list[Message]()
         for step in range(num_steps):
             actions.append(act(step, joints[-1]))
             robot.send(actions[-1])
             joints.append(robot.read())
-            heard += robot.heard()
+            messages += robot.messages()
     finally:
         robot.stop()
-    return Play(np.array(actions), np.array(joints), tuple(heard))
+    return Play(np.array(actions), np.array(joints), tuple(messages))
 
 
 def in_turn(actions: Array) -> Act:
@@ -132,10 +133,10 @@ def scores_heard(track: GoalTrack, notes: Sequence[Note]) -> tuple[float, float]
     return metrics["f1"], metrics["note_onset_f1"]
 
 
-def notes_heard(heard: Iterable[Heard], seconds: float, late: float = 0.0) -> list[Note]:
+def notes_heard(messages: Iterable[Message], seconds: float, late: float = 0.0) -> list[Note]:
     """Notes of the first `seconds`, by time, from messages that are `late` [s]."""
     sounded, none = SoundedNotes(0.0), float("nan")
-    for time, pitch, velocity in heard:
+    for time, pitch, velocity in messages:
         times = (time - late, none) if velocity else (none, time - late)
         sounded.add(KeyEvent(0, pitch, *times, velocity))
     return list(sounded.notes(seconds, lowest_pitch=0))

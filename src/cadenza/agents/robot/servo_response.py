@@ -55,9 +55,9 @@ class ServoResponse:
         """Compute the response to one control step of `dt` [s]."""
         self._fastest = response.fastest
         servos = replace(servos, damping=servos.damping * response.damping)
-        whole, part = divmod(round(response.late, 9), dt)
+        steps, part = divmod(round(response.late, 9), dt)
         step, push = discretised(servos, dt)
-        state, rows = discretised(servos, dt - part)[1], [np.zeros(len(push))] * int(whole)
+        state, rows = discretised(servos, dt - part)[1], [np.zeros(len(push))] * int(steps)
         for _ in range(round(_SETTLED / dt)):
             rows.append(state[:, 0])
             state = np.einsum("aij,aj->ai", step, state) + push

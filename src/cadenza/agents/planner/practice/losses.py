@@ -13,7 +13,7 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals, first_steps
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
-from cadenza.agents.planner.search.strikes import TOLERANCE, as_heard, strike_costs
+from cadenza.agents.planner.search.strikes import TOLERANCE, log_speed, strike_costs
 from cadenza.music.metrics import ONSET_TOLERANCE
 from cadenza.music.performance import BOUNCE
 from cadenza.tasks import reward
@@ -209,7 +209,7 @@ class Losses:
         first, *_ = keys.indices(self._keyboard.num_keys)
         target = self.notes.strikes(notes.struck + first, notes.note)
         onset = step * self._goals.dt + events.onset[notes.struck]
-        outcome = np.column_stack([onset, as_heard(events.speed[notes.struck])])
+        outcome = np.column_stack([onset, log_speed(events.speed[notes.struck])])
         is_timed = np.isfinite(target).all(axis=1)
         outcome, target = outcome[is_timed], target[is_timed]
         costs = _STRIKE_WEIGHT * strike_costs(outcome, target)

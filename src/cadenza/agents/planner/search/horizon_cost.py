@@ -131,7 +131,7 @@ class HorizonCost:
         """Costs (L, K) of the keys, numbers (L,) of mistakes, and the keys after each step."""
         target, late, onset_wrong = self._target[rows], self._late[rows], self._onset_wrong[rows]
         is_sounding = key_paths >= self._sounds_from
-        sounding, heard = is_sounding[:, -1], is_sounding[:, 1:]
+        sounding, in_step = is_sounding[:, -1], is_sounding[:, 1:]
         sounding_before = np.concatenate([before.sounding[None], sounding[:-1]])
         begins = sounding & ~sounding_before
         lost, given_up = _lost_notes(late, sounding, before)
@@ -139,10 +139,10 @@ class HorizonCost:
         wrong = ((sounding ^ target) & self._counts[rows] | is_lost) & ~is_given_up
         wrong_onsets = np.where(sounding, onset_wrong & begins, self._onset_due[rows])
         # An own key may be struck again within the step.
-        onsets = ((heard > is_sounding[:, :-1]) & target[:, None]).sum(axis=1)
+        onsets = ((in_step > is_sounding[:, :-1]) & target[:, None]).sum(axis=1)
         repeats = np.maximum(onsets - begins, 0)
-        any_sound = np.logical_or.reduce(heard, axis=1)
-        silent, silent_before = self._silence(heard, any_sound, before)
+        any_sound = np.logical_or.reduce(in_step, axis=1)
+        silent, silent_before = self._silence(in_step, any_sound, before)
         unheard = any_sound & ~sounding_before & (silent_before < BOUNCE) & target & ~onset_wrong
         brushed = any_sound & self._wrong[rows] & ~sounding & ~sounding_before
         depth = np.maximum(self._factor[rows] * key_paths[:, -1] + self._offset[rows], 0.0)
@@ -158,19 +158,19 @@ class HorizonCost:
         after = map(KeyStates, sounding, lost[1:], given_up[1:], silent, costs, counts)
         return costs, mistakes.sum(axis=1), list(after)
 
-    def _silence(self, heard: Mask, any_sound: Mask, before: KeyStates) -> tuple[Array, Array]:
+    def _silence(self, in_step: Mask, any_sound: Mask, before: KeyStates) -> tuple[Array, Array]:
         """Silence (L, K) of keys after each step, and before their onset in it [s].
 
-        `heard` (L, S, K) is whether keys sound after each physics step, and
+        `in_step` (L, S, K) is whether keys sound after each physics step, and
         `any_sound` (L, K) whether they do in a step.
         """
-        substep = self._dt / heard.shape[1]
-        silent = substep * heard[:, ::-1].argmax(axis=1)
+        substep = self._dt / in_step.shape[1]
+        silent = substep * in_step[:, ::-1].argmax(axis=1)
         start, earlier = np.empty_like(silent), before.silent
         for k, sounds in enumerate(any_sound):
             start[k] = earlier
             earlier = silent[k] = np.where(sounds, silent[k], earlier + self._dt)
-        return silent, start + substep * heard.argmax(axis=1)
+        return silent, start + substep * in_step.argmax(axis=1)
 
     def by_finger(self, of_keys: Array, fingertips: Array) -> Array:
         """Cost (L, F) of each of the first L steps, by finger.

@@ -34,7 +34,7 @@ def strike_costs(outcome: Array, target: Array) -> Array:
     return np.where(np.isnan(costs), _NOT_STRUCK, costs) @ WEIGHT
 
 
-def as_heard(speed: Array) -> Array:
+def log_speed(speed: Array) -> Array:
     """log2 of angular speeds of keys [rad/s]."""
     return np.log2(np.maximum(speed, _MIN_SPEED))
 
@@ -152,4 +152,4 @@ def _crossings(key_path: Array, sounds_from: float, substep: float) -> Crossings
 def _onsets(crossings: Crossings) -> Array:
     """Times [s] and log2 of the speeds [rad/s] (C, 2) with which a key begins to sound."""
     onsets = crossings.onsets
-    return np.column_stack([onsets.time, as_heard(onsets.speed)])
+    return np.column_stack([onsets.time, log_speed(onsets.speed)])

@@ -20,7 +20,7 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
-from cadenza.agents.planner.search.strikes import as_heard, strike_costs
+from cadenza.agents.planner.search.strikes import log_speed, strike_costs
 from cadenza.learning.algorithms.generalist.hand_networks import Array
 from cadenza.music.score import Score
 from cadenza.scene.scene import Scene
@@ -130,7 +130,7 @@ class StrikesOfPlan(NamedTuple):
         """Fingers (M,) that strike in a step, and the costs (M,) of how they did."""
         rows = slice(*np.searchsorted(self.step, [step, step + 1]))
         key = self.key[rows]
-        outcome = np.column_stack([state.key_onset[0, key], as_heard(state.key_speed[0, key])])
+        outcome = np.column_stack([state.key_onset[0, key], log_speed(state.key_speed[0, key])])
         return self.finger[rows], strike_costs(outcome, self.target[rows])
 
 

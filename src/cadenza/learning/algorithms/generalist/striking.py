@@ -21,7 +21,7 @@ import optax
 
 from cadenza.agents.generalist.corrected_hands import MAX_LOWER
 from cadenza.agents.planner.search.networks.weights import Network, Weights
-from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, as_heard
+from cadenza.agents.planner.search.strikes import UNIT, WEIGHT, log_speed
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.generalist.config import GeneralistStrikingConfig
 from cadenza.learning.algorithms.generalist.excerpt_run import ExcerptRun
@@ -133,7 +133,7 @@ def _strikes(before: _Step, now: _Step, after: _Step) -> list[Any]:
             hand, own = divmod(finger, now.touch.shape[1])
             row = hands * i + hand
             events = [
-                (each.state.key_onset[i, key] + shift, as_heard(each.state.key_speed[i, key]))
+                (each.state.key_onset[i, key] + shift, log_speed(each.state.key_speed[i, key]))
                 for each, shift in zip(near, (-plan.dt, 0.0, plan.dt), strict=True)
             ]
             onsets = np.array(events)
