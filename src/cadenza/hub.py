@@ -104,7 +104,6 @@ def upload(folder: Path, repo: str, kind: Kind, card: str) -> str:
 
 
 def _parsed(place: str) -> tuple[str, str | None]:
-    """OWNER/NAME and the revision."""
     if (match := _NAME.fullmatch(place)) is None:
         raise CadenzaError(f"{place}: not a name on the hub; give hub:OWNER/NAME[@REVISION]")
     repo, revision = match.groups()

@@ -75,8 +75,6 @@ class Playback(Agent):
 
 @dataclass(frozen=True)
 class _PlanHeader:
-    """The header of a plan's file."""
-
     song: str
     dt: float  # control step [s]
     metrics: dict[str, Any]

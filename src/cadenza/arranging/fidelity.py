@@ -45,7 +45,6 @@ class Fidelity:
     notes_added: int  # number of notes that are struck again while they sound
 
     def __str__(self) -> str:
-        """A description in words."""
         changed = self.notes_moved or self.notes_added
         if self.melody_kept == self.bass_kept == self.others_kept == 1 and not changed:
             return "all notes kept"

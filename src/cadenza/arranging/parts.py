@@ -44,8 +44,6 @@ class SourceNote(NamedTuple):
 
 @dataclass(frozen=True)
 class _InstrumentPart:
-    """The notes of one instrument."""
-
     name: str
     instrument: str
     notes: tuple[Note, ...]
@@ -73,7 +71,6 @@ def sources_of(score: Score) -> list[SourceNote]:
 
 
 def _parts(score: Score) -> list[_InstrumentPart]:
-    """The parts of a score by the tracks of its notes."""
     by_track: dict[int, list[Note]] = {}
     for note in score.notes:
         for number in note.tracks or (0,):

@@ -191,7 +191,6 @@ def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
 
 
 def _result(folder: Path, _: BenchJob) -> str:
-    """A line on a run that has finished."""
     from cadenza.evaluation.results import read_result
 
     result = read_result(folder)

@@ -68,7 +68,6 @@ def collect(command: Collect, _: Read[Collect]) -> None:
 
 
 def _check(command: Collect) -> None:
-    """Raise a CadenzaError if an option makes no sense."""
     from cadenza.music.score import Note, Score
     from cadenza.tasks.piano_task import PianoTask
 
@@ -111,7 +110,6 @@ def _demonstrator(command: Collect) -> Demonstrator:
 
 
 def _outcome(folder: Path, _job: BenchJob) -> str:
-    """A line on an episode that was recorded."""
     from cadenza.demonstrations.recorded_episode import read_facts
 
     facts = read_facts(folder)

@@ -50,8 +50,6 @@ class CloneGeneralist(RecordedParts):
 
 @dataclass(frozen=True)
 class _OverSongs:
-    """The options of training over the songs of a library."""
-
     songs: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LIBRARY")]
     """The library, or a split of it as LIBRARY:SPLIT."""
     weights: Path | None = None

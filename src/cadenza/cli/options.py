@@ -150,7 +150,7 @@ def setting_up(command: Options, song: str | None, player: Player, seed: int) ->
         with stages("playing") as progress:
             setup = set_up(
                 song,
-                player.playing_in(command.task, command.scene),
+                replace(player, task=command.task, scene=command.scene),
                 arrangement=command.arrangement,
                 seed=seed,
                 num_threads=command.num_threads,

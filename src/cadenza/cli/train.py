@@ -143,7 +143,6 @@ def _name_of(songs: Sequence[str]) -> str:
 
 
 def _title(scores: Sequence[Score]) -> str:
-    """The title of a run's page."""
     first, *more = scores
     return first.title + (f" and {len(more)} more" if more else "")
 
@@ -191,7 +190,6 @@ def _train(command: Train, folder: Path) -> None:
 
 @contextmanager
 def _prints_how_to_resume(folder: Path, config: TrainingConfig) -> Iterator[None]:
-    """Print the command that resumes the run when it is interrupted."""
     again = ["cadenza", "train", "--resume", str(folder)]
     for option, name in named_by_module(config.scene).items():
         again += [f"--{option}", name]
@@ -248,7 +246,6 @@ def _train_until_stopped(training: Training, command: Train, run: RunFolder, son
 
 
 def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: bool = False) -> None:
-    """Write the page of a run."""
     from cadenza.report.html_pages import write_page
     from cadenza.report.training_page import training_page
 

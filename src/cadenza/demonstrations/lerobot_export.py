@@ -121,7 +121,6 @@ def _row(
 def _info(
     robot: str, counts: Mapping[str, int], fps: int, features: dict[str, Any]
 ) -> dict[str, Any]:
-    """The content of info.json."""
     return {
         "codebase_version": "v3.0",
         "robot_type": robot,
@@ -212,8 +211,6 @@ def _stats(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, Any]]:
 
 
 class _FrameFiles:
-    """The files of frames, one after the other."""
-
     def __init__(self, folder: Path) -> None:
         self._folder, self._number = folder, -1
         self._writer: Any = None

@@ -114,7 +114,6 @@ def write_minari(
 
 
 def _names(dataset: Dataset) -> dict[str, Any]:
-    """The names of the entries of observations and actions."""
     layout = shown_by(dataset).observation_layout
     return {
         "observation_layout": {name: [part.start, part.stop] for name, part in layout.items()},
@@ -156,7 +155,6 @@ def _buffer(kind: Any, dataset: Dataset, number: int, renderers: dict[str, Rende
 
 
 def _metadata(facts: EpisodeFacts) -> dict[str, Any]:
-    """The metadata of an episode beside its seed and its options."""
     return {
         "song": facts.song,
         "f1": facts.f1,

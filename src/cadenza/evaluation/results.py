@@ -67,8 +67,6 @@ class Result(ResultFile):
 
 @dataclass(frozen=True)
 class _Player:
-    """Fields that every job has."""
-
     agent: str
     seed: int
 

@@ -133,7 +133,6 @@ def _polyphony(start: Array, end: Array) -> float:
 
 
 def _first_notes(moment: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Indices of the first note of each moment."""
     return np.flatnonzero(np.diff(moment, prepend=-1))
 
 

@@ -126,7 +126,6 @@ class _HandSearch:
                 yield moment.strokes[i], int(moment.fingers[way, i])
 
     def _moments(self, moments: Iterable[tuple[float, list[Stroke]]]) -> Iterator[_Moment]:
-        """Yield the moments at which this hand strikes keys."""
         held: list[Stroke] = []
         for time, strokes in moments:
             struck = [s for s in strokes if s.finger is not None and s.finger.hand == self._hand]

@@ -26,8 +26,6 @@ LOCKED_OUT = "another process is training this run"
 
 @dataclass(frozen=True)
 class _Facts:
-    """The facts of a checkpoint."""
-
     step: Count
     seconds: float
     rng: dict[str, Any]

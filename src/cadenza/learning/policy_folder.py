@@ -58,8 +58,6 @@ _PERCEPTRON_ARRAYS = _COMMON_ARRAYS | {
 
 @dataclass(frozen=True)
 class _PolicyFacts:
-    """The facts in the header."""
-
     format: int
     observation: ObservationSpec
     inputs: Inputs

@@ -29,8 +29,6 @@ _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
 
 @dataclass(frozen=True)
 class _Manifest:
-    """The content of run.json."""
-
     config: TrainingConfig
     songs: tuple[WrittenScore, ...]
     versions: dict[str, str]

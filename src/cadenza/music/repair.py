@@ -145,7 +145,6 @@ def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:
 
 
 def _remarks(counts: Counter[str]) -> list[str]:
-    """Remarks on repairs, in plain words."""
     repairs = {
         "drums": "of drums left out",
         "muted": "in a channel of no volume left out",

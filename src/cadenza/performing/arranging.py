@@ -45,7 +45,6 @@ class HandArrangement:
     hands: str  # the hands that play, in words
 
     def __str__(self) -> str:
-        """What was done, in words."""
         return f"arranged for {self.hands}: {self.arranged.fidelity}"
 
     def performed(self, arrangement: Arrangement) -> HandArrangement:

@@ -181,7 +181,6 @@ def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
 
 
 def _are_results(folder: Path) -> bool:
-    """Whether a performance was saved in the folder."""
     try:
         settings = read_json(folder / "settings.json", dict[str, Any])
     except CadenzaError:

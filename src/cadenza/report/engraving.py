@@ -161,8 +161,6 @@ def _with_columns(musicxml: str) -> str:
 
 @dataclass
 class _Drawer:
-    """A drawer of Verovio's pages, one after the other, which gathers their glyphs."""
-
     sheet: Sheet
     glyphs: dict[str, str] = field(default_factory=dict)
     _num_bars: int = 0

@@ -134,7 +134,6 @@ class JobQueue:
         self.practice.pause(num_busy > 0)
 
     def _has_room(self) -> bool:
-        """Whether another job can play now, beside others that play or write their files."""
         busy = [job for job in self.jobs.values() if job.is_busy]
         num_writing = sum(job.status["state"] in _WRITING for job in busy)
         has_room = len(busy) - num_writing < self._at_once and num_writing <= _MAX_WRITING
@@ -252,7 +251,6 @@ class BackgroundPractice:
         return self.status["state"] in ("preparing", "practising")
 
     def _practises(self, order: Order) -> bool:
-        """Whether this order is being practised."""
         return self.order is order and self._is_active
 
     def pause(self, paused: bool) -> None:

@@ -82,12 +82,16 @@ class DrawRanges:
         self.substeps = round(control_timestep / self.physics_timestep)
         self.low, self.high = scene.action_low[:-1], scene.action_high[:-1]
         self.control_noise = config.control_noise * (self.high - self.low) / 2
-        self.observation_noise = self._of_senses(
-            config.slide_noise, config.joint_noise, config.key_noise, config.touch_noise
-        )
-        self.bias = self._of_senses(config.slide_bias, config.joint_bias, 0.0, config.touch_bias)
+        of_scene, slides = shapes(scene), sliding(scene)
         of_task = {**dict.fromkeys(SERVO_RANGES, self.low.shape), GRAVITY_TILT: (2,), LATENCY: ()}
-        of_scene = shapes(scene)
+        counts = scene.keyboard.num_keys, scene.fingers.count
+        self.observation_noise, self.bias = (
+            np.concatenate([np.where(slides, slide, joint), np.repeat([key, touch], counts)])
+            for slide, joint, key, touch in (
+                (config.slide_noise, config.joint_noise, config.key_noise, config.touch_noise),
+                (config.slide_bias, config.joint_bias, 0.0, config.touch_bias),
+            )
+        )
         self.of_model = tuple(filter(self._is_on, of_scene))
         self.shapes = {n: s for n, s in (of_scene | of_task).items() if self._is_on(n)}
         if self.bias.any():
@@ -98,12 +102,6 @@ class DrawRanges:
         self.weight = model.body_mass * model.body_gravcomp * model.opt.gravity[2]
         self.has_latency = bool(config.latency[1])
         self.num_sent = self.steps_of(config.latency[1]) // self.substeps + 2
-
-    def _of_senses(self, slide: float, joint: float, key: float, touch: float) -> Array:
-        scene = self.scene
-        counts = scene.keyboard.num_keys, scene.fingers.count
-        joints = np.where(sliding(scene), slide, joint)
-        return np.concatenate([joints, np.repeat([key, touch], counts)])
 
     def _is_on(self, name: str) -> bool:
         """Whether a field of the configuration is not as by default."""

@@ -292,14 +292,12 @@ class PianoVectorEnv(VectorEnv):
         return _infos(drawn, fresh)
 
     def _true_state(self) -> dict[str, Any]:
-        """Infos with the true state, if they are privileged."""
         if not self._privileged:
             return {}
         parts = np.concatenate(list(self.task.privileged().values()), axis=1)
         return _infos({"privileged": parts.astype(np.float32)}, np.ones(self.num_envs, bool))
 
     def _metrics(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """Infos on the metrics of the episodes that end."""
         infos: dict[str, Any] = {}
         for env in np.flatnonzero(ended).tolist():
             metrics = self.task.episode_metrics(env).items()
@@ -519,7 +517,6 @@ def _check_shape(name: str, values: Any, space: spaces.Space) -> None:
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
-    """The infos of the first environment, as plain values and arrays."""
     return {
         name: values[0] if values.ndim > 1 else values[:1].tolist()[0]
         for name, values in infos.items()

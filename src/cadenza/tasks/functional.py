@@ -155,7 +155,6 @@ class FunctionalPianoTask:
         self.reset, self.step = jax.jit(self._reset), jax.jit(self._step)
 
     def _reset(self, key: Array) -> PianoState:
-        """Begin an episode in every environment."""
         key, drawn = jax.random.split(key)
         episodes, start = self.begin(drawn)
         data = self.physics.start(start)

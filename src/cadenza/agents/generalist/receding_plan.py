@@ -46,8 +46,6 @@ _RETRY_TIME = 0.3  # [s] until it may be lifted once more
 
 @dataclass
 class _SightedNote:
-    """A note that is in sight, or was."""
-
     key: int
     number: int
     first: int

@@ -166,7 +166,6 @@ class _Diagnosis:
         return f"{1000 * steps * self._dt:.0f} ms"
 
     def _sounds_from_before(self, note: _GoalNote) -> bool:
-        """Whether the key still sounds from an earlier note of the score."""
         onsets = [step for step in self._onsets[note.key] if step <= note.first]
         since = onsets[-1] if onsets else note.first
         return bool(self._goal[since : note.first, note.key].any())
@@ -259,7 +258,6 @@ class _Diagnosis:
         return "key not held down", "the key came up under the finger"
 
     def _why_cut(self, press: Press) -> str:
-        """Reason why the plan lets a key go early."""
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
         move = steps_in(self._times.next_key, self._dt)

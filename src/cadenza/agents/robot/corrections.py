@@ -125,7 +125,6 @@ class NoteCorrections:
         self._steps = len(postures) - 1
 
     def _row(self, press: Press) -> int:
-        """Row of a press's finger among those of the scene."""
         first = self._scene.fingers.of_hand(SIDES.index(press.side)).start
         return self._fingers * self._scene.sides.index(press.side) + press.finger - first
 
@@ -248,7 +247,6 @@ class NoteCorrections:
         return result
 
     def _share_sounding(self, press: Press, notes: list[Note]) -> float:
-        """The share of a press in which its key sounds."""
         begin, end = (press.first - 1) * self._dt, (press.last - 1) * self._dt
         sounding = sum(max(min(n.end, end) - max(n.start, begin), 0.0) for n in notes)
         return sounding / (end - begin)

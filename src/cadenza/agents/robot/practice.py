@@ -39,8 +39,6 @@ _REDUCTION = 0.5  # factor of the corrections after a worse play
 
 
 class _PlayInputs(NamedTuple):
-    """Corrections and controls of a play."""
-
     corrections: PressCorrections
     controls: Array
     """(T, A) differences from the start [m, rad]."""
@@ -135,7 +133,6 @@ class RobotPractice:
         return take
 
     def _identify(self, take: Take) -> None:
-        """Identify the response of the servos from the motions of the joints."""
         sent = take.actions[:, :-1] - self._postures[0]
         self._tracked.append((sent, take.measured[1:] - self._postures[1:] + self._moved))
         late = self.response.late + self.sensors_late if self.best else None

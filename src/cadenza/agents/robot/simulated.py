@@ -50,7 +50,6 @@ class SimulatedRobot:
         """Do nothing: the next play begins with a reset."""
 
     def _listen(self) -> None:
-        """Record the events of keys in the last step."""
         onset, offset, speed = (values[0] for values in self.env.task.sensed.key_events)
         keyboard = self._spec.scene.keyboard
         begin = self._steps * self._spec.config.control_timestep

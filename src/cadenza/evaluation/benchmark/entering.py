@@ -138,7 +138,6 @@ def _is_same(result: Result, other: Result, name: str) -> bool:
 
 
 def _check_task(result: Result) -> None:
-    """Raise a CadenzaError if a run was played in another task than that of the benchmark."""
     job, where = result.job, result.folder
     task = checked(job.get("task"), TaskConfig, f"{where}, task")
     scene = checked(job.get("scene"), SceneConfig, f"{where}, scene")

@@ -111,8 +111,6 @@ def _join(parts: Element) -> None:
 
 
 class _Copying:
-    """Copies in a document, which originals take the place of."""
-
     def __init__(self, root: Element, counts: Counter[str]) -> None:
         self._named = {element.get(_ID, ""): element for element in root.iter()}
         self._counts = counts
@@ -155,8 +153,6 @@ def _copied(element: Element, name: str) -> Element:
 
 
 class _Unfolding:
-    """A score that is being unfolded."""
-
     def __init__(self, score: Element, counts: Counter[str]) -> None:
         self._score = score
         self._counts = counts

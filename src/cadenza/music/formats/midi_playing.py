@@ -182,7 +182,6 @@ class Channel:
             self._set_parameter(control, value, now)
 
     def _set_volume(self, volume: int, expression: int, now: int) -> None:
-        """Change the volume, which is the product of both."""
         was_silent, is_silent = self._volume * self._expression == 0, volume * expression == 0
         self._volume, self._expression = volume, expression
         if is_silent and not was_silent:
@@ -390,7 +389,6 @@ class Playing:
         """The music of each channel in each track of the file, by tracks."""
 
     def _play(self, message: Message, channel: Channel, track: int, now: int) -> None:
-        """Play a message of a track to a channel."""
         if message.kind == CONTROL:
             control, value = message.data
             self._move(channel, control, value, now)

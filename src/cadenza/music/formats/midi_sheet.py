@@ -80,7 +80,6 @@ def _tempos(times: Sequence[float], ticks: Sequence[int]) -> list[tuple[int, int
 
 
 def _signs(measures: Iterable[Measure]) -> Iterator[tuple[int, mido.MetaMessage]]:
-    """Yield the time signatures and the key signatures of measures, by their ticks."""
     signature, key = None, None
     for measure in measures:
         tick, beat_type = _FINER * measure.start, measure.written[1]

@@ -145,7 +145,6 @@ class _Writer:
             measure.append(attributes)
 
     def _voice(self, measure: Element, here: WrittenMeasure, voice: _Voice) -> None:
-        """Write a voice, and with the first of a staff the directions of the staff."""
         start, end = here.measure.start, here.measure.end
         directions = deque(_directions(here, voice.hand) if voice.is_first else ())
         if not voice.symbols:

@@ -94,7 +94,6 @@ def _text(content: bytes) -> str:
 
 
 def _remarks(counts: Counter[str]) -> list[str]:
-    """Remarks on what is not played, or not as it is written."""
     return counted_remarks(
         (
             (counts["copy"], "copy", "of what is not there left out"),
@@ -177,7 +176,6 @@ def _plain(text: str) -> str:
 
 
 def _loaded(text: str, form: str) -> Any:
-    """Verovio with a score."""
     import verovio
 
     toolkit = verovio.toolkit()

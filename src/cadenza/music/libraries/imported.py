@@ -32,7 +32,6 @@ Grade = Callable[[Score], float]  # a function that says how difficult a score i
 
 
 def _libraries_folder() -> Path:
-    """The folder of imported song libraries, with a folder for each."""
     chosen = os.environ.get("CADENZA_DATA")
     return (Path(chosen) if chosen else user_data_path("cadenza", appauthor=False)) / "libraries"
 

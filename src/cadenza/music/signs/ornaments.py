@@ -165,7 +165,6 @@ def place_graces(voice: Voice, tempo: TempoMap) -> None:
 
 
 def _grace(chord: Chord) -> Grace:
-    """The sign of a chord of grace notes."""
     grace = chord[0].of.grace
     assert grace is not None
     return grace

@@ -40,8 +40,6 @@ Parts = dict[str, dict[str, Any]]  # the arrays of a state by part and name
 
 
 class _Chunk(NamedTuple):
-    """A rollout of a chunk."""
-
     played: Trajectory
     snapshots: Snapshots
     simulated: int  # control steps of a hand
@@ -200,7 +198,6 @@ class InitialTrajectories:
         return sum(chunk.simulated for chunk in chunks)
 
     def _play(self, first: int, last: int) -> _Chunk:
-        """Play from one step to another as the planner does."""
         search = self._planned.search
         before = search.simulated
         played, snapshots = self._planned.scene.roll_out(
@@ -230,7 +227,6 @@ class InitialTrajectories:
         self._best_before = None
 
     def _current_as_spliced(self) -> SplicedTrajectory:
-        """A copy of the current trajectory."""
         planned = self._planned
         return SplicedTrajectory(planned.plan.track, planned.variant, self._trajectory.copied())
 
@@ -248,7 +244,6 @@ class InitialTrajectories:
 
     @property
     def _follows_spliced(self) -> bool:
-        """Whether the current trajectory follows the spliced one."""
         return self._num_tried > 0 and self._schedule[self._num_tried - 1] is None
 
     def _next_variant(self) -> Variant:

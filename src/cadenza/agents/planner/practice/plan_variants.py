@@ -136,7 +136,6 @@ def passages_of(track: GoalTrack, variant: Variant, other: Variant) -> list[Pass
 def _passages_with_other_fingers(
     track: GoalTrack, variant: Variant, other: Variant
 ) -> list[Passage]:
-    """The passages with other fingers, by time."""
     dt = track.config.control_timestep
     before, after, apart = (steps_in(seconds, dt) for seconds in (_BEFORE, _AFTER, _APART))
     passages: list[Passage] = []

@@ -53,8 +53,6 @@ _MAX_BYTES = 2**32  # of a file: hours of music
 
 
 class _Sweep(NamedTuple):
-    """The progress of a sweep over the song."""
-
     first: int  # the step at which the current window begins
     refined: int  # the step up to which strikes have been refined
     # (T,) number of simulated control steps at which a window that ends with each step is left
@@ -339,7 +337,6 @@ class Practice:
         return scene_before(step, self.trajectory, self._snapshots)
 
     def _rng(self, hand: int) -> np.random.Generator:
-        """The source of randomness of one hand in this unit."""
         return np.random.default_rng((self._initial.seed, self._num_units, hand))
 
     # Results

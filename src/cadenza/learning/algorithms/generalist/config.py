@@ -21,8 +21,6 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class _RunConfig:
-    """The options of every run."""
-
     checkpoint_interval: float = 60.0
     """Time between checkpoints [s]."""
     seed: int = 0

@@ -81,8 +81,6 @@ class Strikes(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """A step of all excerpts."""
-
     episodes: list[ExcerptEpisode]
     steps: list[int]
     inputs: Array

@@ -100,8 +100,6 @@ def bar_at(bars: Sequence[WrittenBar], measure: int, quarter: Fraction) -> int:
 
 
 class _BarReader:
-    """The reader of the elements of a part, in their order."""
-
     def __init__(self, begins: Sequence[Fraction]) -> None:
         self.bars: list[WrittenBar] = []
         self._begins = begins

@@ -350,7 +350,6 @@ class TempoMarks:
 
 
 def _fermatas(placed: Placed) -> Iterator[Fermata]:
-    """Yield the fermatas of a note or rest, or of a barline."""
     element, end = placed.element, placed.quarter + placed.duration
     for sign in (*element.iterfind("fermata"), *element.iterfind("notations/fermata")):
         factor = _FERMATAS.get((sign.text or "").strip(), FERMATA)
@@ -358,7 +357,6 @@ def _fermatas(placed: Placed) -> Iterator[Fermata]:
 
 
 def _is_possible(speed: Fraction) -> bool:
-    """Whether music may have a tempo, in quarters a minute."""
     return _SLOWEST <= speed <= _FASTEST
 
 

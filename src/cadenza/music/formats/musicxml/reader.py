@@ -211,7 +211,6 @@ def _parts(
 def _remarks(
     root: Element, counts: Counter[str], bars: Sequence[WrittenBar], passages: Sequence[Passage]
 ) -> Iterator[str]:
-    """Yield remarks on what is left out or changed."""
     lost = without_goal([bar.signs for bar in bars])
     unplayed = len(bars) - len({passage.index for passage in passages})
     repeats = sum(sign.get("type") == "start" for sign in root.iter("measure-repeat"))

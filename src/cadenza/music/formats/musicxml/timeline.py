@@ -210,7 +210,6 @@ def ends_of_lines(part: Iterable[Placed]) -> Callable[[Placed], Fraction | None]
 
 
 def _lines(placed: Placed) -> list[Element]:
-    """The ends of lines in a direction."""
     if placed.element.tag != "direction":
         return []
     return [each for each in placed.element.iterfind("direction-type/*") if each.tag in _LINES]

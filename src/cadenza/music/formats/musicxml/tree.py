@@ -74,8 +74,6 @@ def _decoded(data: bytes) -> str:
 
 
 class _Tree:
-    """A tree built from events of the parser, which counts elements and attributes."""
-
     def __init__(self) -> None:
         # Without namespaces, whose names are repeated with every element.
         self._parser = expat.ParserCreate()

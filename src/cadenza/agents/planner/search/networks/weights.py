@@ -133,7 +133,6 @@ class Weights(NamedTuple):
 
 
 def _network(arrays: Mapping[str, NDArray[Any]], of: str) -> Network:
-    """The network of that name in the arrays of a file."""
     kernels, biases = (
         tuple(arrays[f"{of}:{kind}{i}"].astype(np.float32) for i in range(_LAYERS))
         for kind in ("kernel", "bias")
