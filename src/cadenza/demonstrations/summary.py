@@ -29,7 +29,9 @@ def summarize(folder: Path) -> Iterator[str]:
     songs = {facts.song for facts in kept_facts}
     yield f"{counted(len(kept_facts), 'episode')} of {counted(len(songs), 'song')} kept"
     yield f"{len(episodes) - len(kept_facts)} not kept, {unfinished} not finished"
-    yield _steps(kept_facts)
+    seconds = sum(facts.num_steps * facts.task.control_timestep for facts in kept_facts)
+    steps = sum(facts.num_steps for facts in kept_facts)
+    yield f"{steps:,} steps, {seconds / 60:.1f} min of music"
     if kept_facts:
         yield _spread("F1", [facts.f1 for facts in kept_facts])
         yield _spread("note onset F1", [facts.note_onset_f1 for facts in kept_facts])
@@ -37,16 +39,10 @@ def summarize(folder: Path) -> Iterator[str]:
         yield f"{sum(facts.drawn['mirrored'] for facts in kept_facts):,} mirrored"
     files = (folder / part / file for part in (EPISODES, SONGS) for file in files_in(folder / part))
     size = sum(file.lstat().st_size for file in files)
-    steps = sum(facts.num_steps for facts in kept_facts)
     yield f"{size / _MIB:.1f} MiB, {size / max(steps, 1):,.0f} bytes a step"
     hours = sum(facts.cpu_seconds for _, facts in episodes) / 3600
     yield f"{hours:.2f} hours of one core to make"
     yield from _versions(facts for _, facts in episodes)
-
-
-def _steps(kept: list[EpisodeFacts]) -> str:
-    seconds = sum(facts.num_steps * facts.task.control_timestep for facts in kept)
-    return f"{sum(facts.num_steps for facts in kept):,} steps, {seconds / 60:.1f} min of music"
 
 
 def _spread(name: str, values: list[float]) -> str:

@@ -78,8 +78,9 @@ def _rows(
     """Yield each piece and agent, the seeds and pages of its runs, and its means over them."""
     runs: dict[tuple[int, str], list[tuple[int, str | None]]] = {}
     for run in summary.runs:
-        page = run.result.folder / PAGE
-        shown = _address(page, folder) if page.exists() else None
+        page, shown = run.result.folder / PAGE, None
+        if page.exists():
+            shown = quote(os.fsencode(Path(os.path.relpath(page, folder)).as_posix()))
         runs.setdefault((run.piece, run.agent), []).append((run.result.seed, shown))
     for i, piece in enumerate(summary.pieces):
         for j, agent in enumerate(summary.agents):
@@ -89,10 +90,6 @@ def _rows(
                     for name, estimate in summary.by_piece.items()
                 }
                 yield piece, agent, sorted(pages), means
-
-
-def _address(page: Path, folder: Path) -> str:
-    return quote(os.fsencode(Path(os.path.relpath(page, folder)).as_posix()))
 
 
 def write_figure(path: Path, summary: BenchSummary) -> None:

@@ -168,8 +168,9 @@ class HandFile:
             if (value := getattr(self.description, name)) is not None and not 0 < value < math.inf:
                 raise self.error(f"{name} {value:g}: give a positive number")
         self.file = path.parent / self.description.file
-        self.left = HandFile(path, "left") if side == "right" and content.left else None
-        self.sha256 = sha256_of(path, self.file, *([self.left.file] if self.left else []))
+        left = content.left if side == "right" else None
+        self.sha256 = sha256_of(path, self.file, *([path.parent / left.file] if left else []))
+        self.left = HandFile(path, "left") if left else None
         self._model = _compiled(self.file)
         self._root = self._id("palm", mujoco.mjtObj.mjOBJ_BODY, self.description.palm)
         self._fixed = {

@@ -60,9 +60,8 @@ _PAUSED_DURATIONS = (0.16, 0.64)
 _PAUSES = (0.02, 0.06)
 _PAUSE_LENGTHENS = 0.45  # share of the pause by which the interval gets longer
 _PUNCTUATED_SHARE = 0.6  # share of the mean interval below which notes are not set apart
-_LEAP = (
-    12 - 7
-)  # semitones, an octave less a fifth, of leaps between groups; smaller ones hardly weigh
+# Semitones, an octave less a fifth, of leaps between groups; smaller ones hardly weigh
+_LEAP = 12 - 7
 _FIGURE, _FIGURE_LEAPS = 6, 2  # more than 2 such leaps within 6 notes are of a figure, as arpeggios
 _MAX_LEAP = 1.5  # factor by which a leap between groups exceeds both neighbours
 

@@ -446,12 +446,10 @@ class WarpSimulation:
             for after, before in zip(state, self.state, strict=True)
         )
         for env in np.flatnonzero(new.unstable & ~self.state.unstable).tolist():
-            _LOG.warning("simulation %d became unstable%s", env, self._why(env))
+            lost = mjw.OverflowType(int(self._physics.overflow[env]))
+            why = f": no room for contacts ({quoted(lost)}); give it more, see Buffers"
+            _LOG.warning("simulation %d became unstable%s", env, why if lost else "")
         self.state = new
-
-    def _why(self, env: int) -> str:
-        lost = mjw.OverflowType(int(self._physics.overflow[env]))
-        return f": no room for contacts ({quoted(lost)}); give it more, see Buffers" if lost else ""
 
     def close(self) -> None:
         self._at_start.close()

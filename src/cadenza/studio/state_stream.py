@@ -62,7 +62,8 @@ class StateStream:
             self._send_header(self._task.tracks[0])
 
     def _send_header(self, track: GoalTrack) -> None:
-        scene, goals = self._task.scene, track.goals
+        scene, goals, arrangement = self._task.scene, track.goals, self._setup.arrangement
+        fates = () if arrangement is None else arrangement.fates(track)
         self._add(
             dt=self._dt,
             steps=goals.num_steps,
@@ -77,13 +78,8 @@ class StateStream:
             notes=sorted((n.pitch - self._lowest, n.start) for n in track.delayed_score.notes),
             sound=INSTRUMENT,
             remarks=self._setup.settings.get("remarks", []),
-            arrangement=arranged_notes(self._fates(track), self._lowest),
+            arrangement=arranged_notes([fate.as_json for fate in fates], self._lowest),
         )
-
-    def _fates(self, track: GoalTrack) -> list[dict[str, Any]]:
-        """The fate of each note of a song that was arranged."""
-        arrangement = self._setup.arrangement
-        return [] if arrangement is None else [f.as_json for f in arrangement.fates(track)]
 
     def _add(self, **fields: Any) -> None:
         """Send fields, and keep them in the header."""

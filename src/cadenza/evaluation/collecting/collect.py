@@ -37,7 +37,6 @@ from cadenza.keyboards.registry import keyboard_named
 from cadenza.learning.policy_folder import POLICY_FILE
 from cadenza.music.arrangement import Arrangement, load
 from cadenza.music.libraries.songs import Library
-from cadenza.music.score import Score
 from cadenza.performing.setup import Setup, find_player, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of
@@ -172,13 +171,9 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     if plan is None:
         write_facts(folder, facts)
     else:
-        write(
-            folder,
-            facts,
-            song,
-            _fingered_score(setup, plan),
-            _arrays(result, perturbed, last_view, plan),
-        )
+        (track,) = setup.task.goals.tracks
+        track = plan.track if track.dropped is None else track  # with the rewarded fingers, if any
+        write(folder, facts, song, track.score, _arrays(result, perturbed, last_view, plan))
 
 
 def _perturbed_agent(setup: Setup, noise: float, spec: EpisodeSpec, folder: Path) -> PerturbedAgent:
@@ -217,12 +212,6 @@ def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> Son
         track = result.plan.track
     assert perturbed.start is not None
     return plan_song(track, perturbed.start.hand_qpos[0])
-
-
-def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
-    """The score with the fingers that the task rewarded, or else with the plan's."""
-    (track,) = setup.task.goals.tracks
-    return plan.track.score if track.dropped is None else track.score
 
 
 def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:

@@ -280,15 +280,15 @@ class ExcerptEnvs:
         return state, np.concatenate(costs), over
 
     def _next_episode(self, env: int) -> ExcerptEpisode:
-        index = self._unplayed.pop() if self._unplayed else self._draw()
+        if self._unplayed:
+            index = self._unplayed.pop()
+        else:
+            p = self._last_cost / self._last_cost.sum()
+            index = int(self._rng.choice(len(self._excerpts), p=p))
         self._playing[env] = index
         episode = ExcerptEpisode(self._excerpts[index])
         self._simulation.reset([env], episode.excerpt.start[None])
         return episode
-
-    def _draw(self) -> int:
-        p = self._last_cost / self._last_cost.sum()
-        return int(self._rng.choice(len(self._excerpts), p=p))
 
     def _state(self, env: int) -> State:
         return State._make(values[env : env + 1] for values in self._simulation.state)

@@ -138,9 +138,10 @@ def notes_of(
         shift, (step, semitones) = transposition(placed), pitch
         natural = _natural(step + shift.steps)
         sounds = semitones + shift.semitones
+        shape = length_of(note.findtext("type", ""), len(note.findall("dot")))  # 0 if unknown
         signed = SignedNote(
             onset=placed.quarter,
-            duration=_shown_length(note) if grace else placed.duration,
+            duration=shape if grace else placed.duration,
             pitch=sounds,
             velocity=velocity,
             part=track,
@@ -225,11 +226,6 @@ def _grace(grace: Element, index: int, placed: Placed) -> Grace:
     make_time = grace.get("make-time")
     takes = None if make_time is None else exact(number(make_time) / placed.divisions)
     return Grace(index, grace.get("slash") == "yes", previous, following, takes, after=True)
-
-
-def _shown_length(note: Element) -> Fraction:
-    """The length of a note by its shape [quarters]; 0 if unknown."""
-    return length_of(note.findtext("type", ""), len(note.findall("dot")))
 
 
 def _ties(note: Element) -> tuple[bool, bool]:
