@@ -151,10 +151,8 @@ def test_music_that_the_hands_can_play_stays_as_it_is_unless_a_level_is_given(tm
     play = ["play", "MoonlightOpening", *QUICK, "--first-seconds", "6", "-o", str(tmp_path)]
     main(play)
     assert "arranged" not in capsys.readouterr().err
-    expected, written = (
-        read_midi(tmp_path / "wanted.mid"),
-        load_song("MoonlightOpening").beginning(6.0),
-    )
+    expected = read_midi(tmp_path / "wanted.mid")
+    written = load_song("MoonlightOpening").beginning(6.0)
     assert [n.pitch for n in expected.notes] == [n.pitch for n in written.notes]
     main([*play, "--level", "2"])
     assert "arranged for both hands: " in capsys.readouterr().err

@@ -83,11 +83,9 @@ def test_a_hand_holds_what_it_can_hold_together_with_what_it_strikes():
 
 
 def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord():
-    first, key, chord = (
-        Press("right", 0, 39, 10, 20),
-        Press("right", 0, 46, 20, 30),
-        Press("right", 4, 53, 20, 30),
-    )
+    first = Press("right", 0, 39, 10, 20)
+    key = Press("right", 0, 46, 20, 30)
+    chord = Press("right", 4, 53, 20, 30)
     there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
     left, reached = let_go([first, key], there)
     assert (left.jumps_off, reached.jumps_to) == (True, True)
@@ -223,10 +221,8 @@ def test_hands_have_as_long_at_a_finer_control_step(far, chord):
 def test_fingertips_have_as_long_at_a_finer_control_step(right_hand):
     presses = [Press("right", 1, 41, 6, 9), Press("right", 1, 43, 16, 20, jumps_to=True)]
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
-    usual, fine = (
-        targets_of(right_hand, presses, 25, 0.05),
-        targets_of(right_hand, finer, 50, FINER),
-    )
+    usual = targets_of(right_hand, presses, 25, 0.05)
+    fine = targets_of(right_hand, finer, 50, FINER)
     for one, other in zip(usual, fine, strict=True):
         np.testing.assert_allclose(other[::2], one)
 
@@ -241,10 +237,8 @@ def test_hands_in_haste_let_go_later_before_a_jump_only():
 
 
 def test_in_a_jump_only_heights_are_strict():
-    still, jump = (
-        Press("right", 1, 41, 5, 8),
-        Press("right", 1, 41, 5, 8, jumps_off=True, jumps_to=True),
-    )
+    still = Press("right", 1, 41, 5, 8)
+    jump = Press("right", 1, 41, 5, 8, jumps_off=True, jumps_to=True)
     scene = build_scene()
     strict, loose = (targets_of(scene, [press], 12, 0.05).sigma[:, 1] for press in (still, jump))
     on_the_way = [3, 4, 8]

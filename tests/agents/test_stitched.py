@@ -93,11 +93,9 @@ def test_fingertips_are_on_the_keys_that_are_held(motions):
 
 
 def test_letting_go_and_striking_soon_after_are_one_change():
-    first, again, later = (
-        Press("right", 1, 39, 2, 6),
-        Press("right", 1, 39, 7, 9),
-        Press("right", 0, 36, 20, 22),
-    )
+    first = Press("right", 1, 39, 2, 6)
+    again = Press("right", 1, 39, 7, 9)
+    later = Press("right", 0, 36, 20, 22)
     held, other = ((1, 39),), ((0, 36),)
     assert list(changes_of([first, again, later], 30, longest_gap=4)) == [
         (2, KeyChange((), (), held, 0)),

@@ -130,10 +130,8 @@ def within_limits(performance: Performance) -> None:
 @pytest.mark.slow
 def test_a_melody_is_played_within_all_limits():
     agent = make_agent("icp")
-    task, scene = (
-        TaskConfig(initial_buffer_time=1.0),
-        SceneConfig(hand="arm-allegro", hands="right"),
-    )
+    task = TaskConfig(initial_buffer_time=1.0)
+    scene = SceneConfig(hand="arm-allegro", hands="right")
     performance = play(MELODY, agent, task=task, scene=scene, num_threads=1)
     assert performance.metrics["f1"] > 0.95
     assert performance.track is not None

@@ -19,10 +19,8 @@ DATA = Path(__file__).parents[1] / "data"
 @pytest.mark.parametrize("num_threads", [1, 2])
 def test_rollout_is_many_steps(scene, num_threads):
     ctrl = np.stack(list(controls(scene, 3)), axis=1)
-    rolled, stepped = (
-        PlanningSimulation(scene, 3, num_threads=num_threads),
-        PlanningSimulation(scene, 3),
-    )
+    rolled = PlanningSimulation(scene, 3, num_threads=num_threads)
+    stepped = PlanningSimulation(scene, 3)
     states = rolled.rollout(ctrl)
     for k in range(STEPS):
         stepped.step(ctrl[:, k])
@@ -32,10 +30,8 @@ def test_rollout_is_many_steps(scene, num_threads):
 
 
 def test_copies_the_state_of_another(scene):
-    original, copies = (
-        PlanningSimulation(scene, 1),
-        PlanningSimulation(scene, 3, control_timestep=0.01),
-    )
+    original = PlanningSimulation(scene, 1)
+    copies = PlanningSimulation(scene, 3, control_timestep=0.01)
     for ctrl in controls(scene, 1):
         original.step(ctrl)
     copies.copy_from(original, 0)

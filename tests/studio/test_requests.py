@@ -123,10 +123,8 @@ def test_no_upload_is_lost_for_another(songs, monkeypatch):
 def test_uploads_that_nobody_has_read_do_not_stay(songs):
     """The studio was killed meanwhile; a file that another studio just reads stays."""
     listed = add(songs, b"MThd0", "0.mid")
-    killed, (now, *_) = (
-        songs.write_upload(b"MThd1", "1.mid")[0],
-        songs.write_upload(b"MThd2", "2.mid"),
-    )
+    killed = songs.write_upload(b"MThd1", "1.mid")[0]
+    now, *_ = songs.write_upload(b"MThd2", "2.mid")
     begun, theirs = songs.uploads / ".cadenza-1", songs.uploads / "mine.mid"
     for path in killed, begun, theirs:
         path.touch()

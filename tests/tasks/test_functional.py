@@ -156,11 +156,9 @@ def test_songs_of_any_length_one_after_the_other():
     """Against the task of the CPU, whose episodes begin with the songs that were drawn here."""
     lengths = (1, 2, 5, 7, 12)  # control steps
     scores = [Score((Note(0.0, 0.05 * n, 60 + n),), title=str(n)) for n in lengths]
-    config, rng, num_envs = (
-        TaskConfig(n_steps_lookahead=3, initial_buffer_time=0.0),
-        np.random.default_rng(0),
-        6,
-    )
+    config = TaskConfig(n_steps_lookahead=3, initial_buffer_time=0.0)
+    rng = np.random.default_rng(0)
+    num_envs = 6
     cpu = PianoTask(scores, config, None, num_envs)
     states: deque[State] = deque()
     RecordedPhysics.states = iter(states.popleft, None)

@@ -166,10 +166,8 @@ def test_metrics_follow_from_recorded_states(recording):
 def test_replaying_the_actions(recording):
     """Goal and fingering are observed as recorded, hands and keys move as recorded."""
     task = recording.task()
-    goal, fingering = (
-        task.spec.observation_layout["goal"],
-        task.spec.observation_layout["fingering"],
-    )
+    goal = task.spec.observation_layout["goal"]
+    fingering = task.spec.observation_layout["fingering"]
     assert_array_equal(task.observation()[0, goal], recording["goal_obs0"])
     assert_array_equal(task.observation()[0, fingering], recording["fingering_obs0"])
     assert_array_equal(task.state.hand_qpos[0], recording["hand_qpos0"])

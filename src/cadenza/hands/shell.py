@@ -139,11 +139,9 @@ def surface(
     vertices = centre[farthest] + radius[farthest, None] * normals
     row, column = np.divmod(np.arange(parallels * meridians), meridians)
     right = row * meridians + (column + 1) % meridians
-    here, below, diagonal = (
-        row * meridians + column,
-        (row + 1) * meridians + column,
-        right + meridians,
-    )
+    here = row * meridians + column
+    below = (row + 1) * meridians + column
+    diagonal = right + meridians
     triangles = np.concatenate(
         [np.stack([here, below, diagonal], axis=1), np.stack([here, diagonal, right], axis=1)]
     )

@@ -282,10 +282,8 @@ class FunctionalPianoTask:
         if self._randomization is not None:
             state = self._randomization.sensed(episodes.draws, state)
         keys = key_state(state.key_qpos, self.scene.keyboard.travel)
-        goal, fingering = (
-            self.songs.goal[song[:, None], ahead],
-            self.songs.active_fingers[song, row],
-        )
+        goal = self.songs.goal[song[:, None], ahead]
+        fingering = self.songs.active_fingers[song, row]
         due = self._onsets(song, row) if self.config.onset_goals else None
         return self.spec.observation(goal, fingering, keys, episodes.pedal, state, due)
 

@@ -117,10 +117,8 @@ class _HoverProblem:
         self._of_hand = np.array([name in hand.servos for name in servos.names])
         self.names = [name for name in servos.names if name in hand.servos]
         self.ranges = low, high = servos.low[self._of_hand], servos.high[self._of_hand]
-        self.low, self.high = (
-            np.array([*-_MAX_SHIFT, *low, *low]),
-            np.array([*_MAX_SHIFT, *high, *high]),
-        )
+        self.low = np.array([*-_MAX_SHIFT, *low, *low])
+        self.high = np.array([*_MAX_SHIFT, *high, *high])
         third = (high - low) / 3  # of a finger that is neither straight nor a fist
         bent = np.clip(0.0, low + third, high - third)
         self.middle = np.array([0.0, 0.0, 0.0, 0.0, *bent, *bent])

@@ -143,10 +143,8 @@ def _florid_costs(
     sheet: EtudeSheet, degrees: Pitches, upper: bool, now: _Pair, next_pair: _Pair
 ) -> Costs:
     """Costs (n, n) from a note against the held one of `now` to the next against `next_pair`'s."""
-    pitches, next_pitches = (
-        _pitches(sheet, degrees, now.form),
-        _pitches(sheet, degrees, next_pair.form),
-    )
+    pitches = _pitches(sheet, degrees, now.form)
+    next_pitches = _pitches(sheet, degrees, next_pair.form)
     held, next_held = (
         _pitches(sheet, np.array([pair.low if upper else pair.high]), pair.form)
         for pair in (now, next_pair)

@@ -83,15 +83,11 @@ class Practice:
         self._planned, self.trajectory = self._initial.best
         self._identity = _digest(self.plan, start, self._initial.seed, context.config)
         dt = track.config.control_timestep
-        self._around, self._apart, interval = (
-            steps_in(seconds, dt) for seconds in (_AROUND, _APART, _INTERVAL)
+        self._around, self._apart = steps_in(_AROUND, dt), steps_in(_APART, dt)
+        self._interval = steps_in(_INTERVAL, dt)
+        self._window, self._stride, self._after = (
+            intervals * self._interval for intervals in (_WINDOW, _STRIDE, _AFTER)
         )
-        self._interval, self._window, self._stride = (
-            interval,
-            _WINDOW * interval,
-            _STRIDE * interval,
-        )
-        self._after = _AFTER * interval
         self._reach = self._window + self._after
         self.num_steps = self.plan.goals.num_steps
         self._num_failed = np.zeros_like(self.trajectory.loss)
