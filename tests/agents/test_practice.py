@@ -597,7 +597,7 @@ def test_what_is_finished_after_the_effort_is_shown_until_its_end():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["play", "--agent", "BEGUN", "--planner.effort", "1"], "leave out --planner.effort"),
         (["practice", "easy.mid", "-o", "BEGUN"], "is the practice of another song"),

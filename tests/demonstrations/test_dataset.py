@@ -99,4 +99,4 @@ def test_what_there_is(made):
     assert lines[:2] == ["2 episodes of 1 song kept", "0 not kept, 0 not finished"]
     assert any("mujoco" in line for line in lines)
     assert any(line.startswith("note onset F1 ") for line in lines)
-    assert "rewarded fingers: found in 2 episodes" in lines
+    assert "rewarded fingers: search in 2 episodes" in lines
