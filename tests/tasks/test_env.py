@@ -344,6 +344,10 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
     envs.close()
 
 
+def reset(num_envs: int = 1, **how: Any) -> None:
+    PianoVectorEnv(SHORT, num_envs).reset(**how)
+
+
 @pytest.mark.parametrize(
     ("use", "message"),
     [
@@ -354,13 +358,10 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         (lambda: PianoEnv(SHORT, task=PianoTask([SHORT])), "has its songs"),
         (lambda: PianoEnv(task=PianoTask([SHORT]), stretch=2), "pass nothing else"),
         (lambda: PianoVectorEnv(num_envs=2, task=PianoTask([SHORT])), "num_envs 2: the task has 1"),
-        (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1]), "1 seeds for 2"),
-        (
-            lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1, "x"]),
-            "seed 'x': give a whole number",
-        ),
-        (lambda: PianoVectorEnv(SHORT).reset(seed=1.5), "seed 1.5: give a whole number"),
-        (lambda: PianoVectorEnv(SHORT).reset(seed=-1), "seed -1: choose 0 or more"),
+        (lambda: reset(2, seed=[1]), "1 seeds for 2"),
+        (lambda: reset(2, seed=[1, "x"]), "seed 'x': give a whole number"),
+        (lambda: reset(seed=1.5), "seed 1.5: give a whole number"),
+        (lambda: reset(seed=-1), "seed -1: choose 0 or more"),
         (lambda: PianoEnv(SHORT).reset(seed=1.5), "seed 1.5: give a whole number"),
         (lambda: PianoEnv(SHORT).reset(seed=-1), "seed -1: choose 0 or more"),
         (
@@ -368,21 +369,15 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
             "reward term 'total': recordings call the sum",
         ),
         (lambda: PianoEnv("Twinkl"), "did you mean TwinkleTwinkleLittleStar?"),
+        (lambda: reset(2, options={"reset_mask": [True]}), "reset_mask of shape"),
+        (lambda: reset(2, options={"reset_mask": [True, False]}), "the first reset is of all"),
         (
-            lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True]}),
-            "reset_mask of shape",
-        ),
-        (
-            lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True, False]}),
-            "reset_mask: the first reset is of all",
-        ),
-        (
-            lambda: PianoVectorEnv(SHORT).reset(options={"songs": 0}),
+            lambda: reset(options={"songs": 0}),
             "no option 'songs' of reset: choose from randomization, reset_mask, score, song, start",
         ),
         (lambda: PianoEnv(SHORT).reset(options={"songs": 0}), "no option 'songs' of reset"),
         (
-            lambda: PianoVectorEnv(SHORT, 2).reset(options=[{"step": 1}, None]),
+            lambda: reset(2, options=[{"step": 1}, None]),
             "options .* of reset: give a dictionary, whose values may be lists",
         ),
         (

@@ -67,7 +67,7 @@ def playing_metrics(
     metrics do (Raffel et al., ISMIR 2014) at their defaults, but in a time and a memory that grow
     with the music and not with its square. A note of the score is
     found if one of the same key starts within 0.05 s, and for the second also ends within 0.05 s
-    or a fifth of the wanted note's length, whichever is more (times are compared to 0.1 ms).
+    or a fifth of the written note's length, whichever is more (times are compared to 0.1 ms).
 
     `timing_error` [s]: how far, on average, the beginnings of notes are from where the score has
     them, of as many pairs of notes of the same key as can be made that begin within 0.2 s of each
@@ -87,6 +87,9 @@ def playing_metrics(
     """
     precision, recall, f1 = step_metrics(key_activation, goal_keys)
     pedal = step_metrics(sustain_activation[:, None], goal_sustain[:, None])
+    if played is None:
+        played = performed_score(key_activation, sustain_activation, dt, None, lowest_pitch)
+    seconds = len(key_activation) * dt
     return {
         "precision": float(precision.mean()),
         "recall": float(recall.mean()),
@@ -95,15 +98,7 @@ def playing_metrics(
         "sustain_precision": float(pedal[0].mean()),
         "sustain_recall": float(pedal[1].mean()),
         "sustain_f1": float(pedal[2].mean()),
-        **_note_metrics(
-            _beginning(score, seconds := len(key_activation) * dt),
-            _beginning(
-                performed_score(key_activation, sustain_activation, dt, None, lowest_pitch)
-                if played is None
-                else played,
-                seconds,
-            ),
-        ),
+        **_note_metrics(_beginning(score, seconds), _beginning(played, seconds)),
     }
 
 
@@ -186,10 +181,10 @@ def _matching_size(edges: Sequence[tuple[int, int]]) -> int:
     return int((maximum_bipartite_matching(graph) >= 0).sum())
 
 
-def _ratio(part: NDArray[Any], whole: NDArray[Any]) -> NDArray[np.float64]:
-    """`part` / `whole`, and 1 where both are 0."""
-    xp = whole.__array_namespace__()
-    ratio: NDArray[np.float64] = xp.where(whole > 0, part / xp.maximum(whole, 1), 1.0)
+def _ratio(part: NDArray[Any], total: NDArray[Any]) -> NDArray[np.float64]:
+    """`part` / `total`, and 1 where both are 0."""
+    xp = total.__array_namespace__()
+    ratio: NDArray[np.float64] = xp.where(total > 0, part / xp.maximum(total, 1), 1.0)
     return ratio
 
 

@@ -65,29 +65,6 @@ def state_space(spec: TaskSpec) -> spaces.Box:
     return spaces.Box(low, high.astype(np.float32), dtype=np.float32)
 
 
-def _make_task(
-    song: Any,
-    num_envs: int,
-    num_threads: int,
-    task: TaskConfig | PianoTask | None,
-    scene: SceneConfig | None,
-    reward_terms: Mapping[str, RewardTerm] | None,
-    options: dict[str, Any],
-) -> PianoTask:
-    """The task of an environment, see `PianoVectorEnv`."""
-    if isinstance(task, PianoTask):
-        if song is not None or scene is not None or reward_terms is not None or options:
-            raise CadenzaError(
-                "a PianoTask already has its songs, scene, reward and options: pass nothing else, "
-                "or a TaskConfig instead"
-            )
-        if num_envs != task.num_envs:
-            raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}; give the same")
-        return task
-    config, scene = configure(options, task, scene)  # first, as `song` may be the misspelt option
-    return PianoTask(scores_of(song), config, scene, num_envs, num_threads, reward_terms)
-
-
 class PianoVectorEnv(VectorEnv):
     """N environments of the task, stepped together on a pool of threads.
 
@@ -146,8 +123,19 @@ class PianoVectorEnv(VectorEnv):
         if not isinstance(picture, Picture | None):
             raise CadenzaError(f"picture {quoted(picture)}: give a cadenza.sim.render.Picture")
         self._given: list[Any] = list(song) if isinstance(song, list | tuple) else [song]
-        self.task = _make_task(song, num_envs, num_threads, task, scene, reward_terms, options)
-        self.num_envs = self.task.num_envs
+        if not isinstance(task, PianoTask):
+            # First the options, as `song` may be the misspelt one.
+            task, scene = configure(options, task, scene)
+            scores = scores_of(song)
+            task = PianoTask(scores, task, scene, num_envs, num_threads, reward_terms)
+        elif song is not None or scene is not None or reward_terms is not None or options:
+            raise CadenzaError(
+                "a PianoTask already has its songs, scene, reward and options: pass nothing else, "
+                "or a TaskConfig instead"
+            )
+        elif num_envs != task.num_envs:
+            raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}; give the same")
+        self.task, self.num_envs = task, task.num_envs
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
