@@ -36,6 +36,10 @@ def with_joint(joint: str, **changes: Any) -> Body:
     return replace(BODY, links=links)
 
 
+def with_body(**changes: Any) -> dict[str, Any]:
+    return {"body": replace(BODY, **changes)}
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -53,25 +57,19 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"servos": {**SHADOW.servos, "FFJ3": Servo(rest=9.0)}}, "servo FFJ3: rest is 9.0, outs"),
         ({"reach": replace(SHADOW.reach, rest=[0.0] * 5)}, "reach.rest: give an array of NumPy"),
         ({"servos": {}}, "servos has none for the actuator of 'WRJ2'"),
-        ({"body": replace(BODY, links=BODY.links[1:])}, "the first link must be 'forearm'"),
-        ({"body": replace(BODY, links=(*BODY.links[:2], BODY.links[3]))}, "'palm', its parent"),
+        (with_body(links=BODY.links[1:]), "the first link must be 'forearm'"),
+        (with_body(links=(*BODY.links[:2], BODY.links[3])), "'palm', its parent"),
         (
-            {"body": replace(BODY, couplings=(Coupling("FFJ0", ("FFJ9",), (0, 1)),))},
+            with_body(couplings=(Coupling("FFJ0", ("FFJ9",), (0, 1)),)),
             "coupling FFJ0: there is no joint 'FFJ9'",
         ),
+        (with_body(actuators=(Actuator("TAIL", 1.0, 1.0),)), "no joint or coupling 'TAIL'"),
+        (with_body(actuators=BODY.actuators * 2), "WRJ2 is moved by two actuators"),
         (
-            {"body": replace(BODY, actuators=(Actuator("TAIL", 1.0, 1.0),))},
-            "no joint or coupling 'TAIL'",
-        ),
-        ({"body": replace(BODY, actuators=BODY.actuators * 2)}, "WRJ2 is moved by two actuators"),
-        (
-            {
-                "body": replace(
-                    BODY,
-                    couplings=(*BODY.couplings, Coupling("X", ("FFJ3",), (0, 1))),
-                    actuators=(*BODY.actuators, Actuator("X", 1.0, 1.0)),
-                )
-            },
+            with_body(
+                couplings=(*BODY.couplings, Coupling("X", ("FFJ3",), (0, 1))),
+                actuators=(*BODY.actuators, Actuator("X", 1.0, 1.0)),
+            ),
             "joint FFJ3 is moved by two actuators",
         ),
         ({"body": with_palm(mass=-1.0)}, "link palm: mass: Expected .* >= 0"),
@@ -84,13 +82,10 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"body": with_palm(quat=(0, 0, 0, 0))}, "link palm: quat 0 0 0 0 is no rotation"),
         ({"body": with_palm(pos=(0, 0, np.nan))}, "link palm: pos: Expected .float., got .null."),
         ({"body": with_palm(geoms=(Geom("cube", (1,)),))}, "palm: .* enum value 'cube'"),
-        (
-            {"body": replace(BODY, actuators=(Actuator("FFJ3", -1.0, 1.0),))},
-            "actuators: Expected .* > 0",
-        ),
-        ({"body": replace(BODY, excluded=(("palm", "x"),))}, "excluded: there is no link 'x'"),
-        ({"body": replace(BODY, locked=("x",))}, "locked: there is no joint 'x'"),
-        ({"body": replace(BODY, reduced_ranges={"x": (0, 1)})}, "reduced_ranges: .* joint 'x'"),
+        (with_body(actuators=(Actuator("FFJ3", -1.0, 1.0),)), "actuators: Expected .* > 0"),
+        (with_body(excluded=(("palm", "x"),)), "excluded: there is no link 'x'"),
+        (with_body(locked=("x",)), "locked: there is no joint 'x'"),
+        (with_body(reduced_ranges={"x": (0, 1)}), "reduced_ranges: .* joint 'x'"),
     ],
 )
 def test_parts_that_do_not_go_together(changes, message):

@@ -577,41 +577,29 @@ def test_a_line_after_words_is_as_long_as_the_change(line, read):
 
 
 SLASHED = "<attributes><measure-style><slash type='{}'/></measure-style></attributes>"
+A_SLASH = "1 note that a slash stands for left out"
+SILENT = "1 note of no volume left out"
+SLIDE = '<notations><slide type="start"/></notations>'
+HIGH, HALF, LONG = [(4, 8, 72)], [(0, 2, 60)], [(0, 4, 60)]  # notes that are played
 
 
 @pytest.mark.parametrize(
     ("music", "expected", "remark"),
     [
-        (
-            [note("B4", 16, inside="<notehead>slash</notehead>"), note("C5", 16)],
-            [(4, 8, 72)],
-            "1 note that a slash stands for left out",
-        ),
+        ([note("B4", 16, inside="<notehead>slash</notehead>"), note("C5", 16)], HIGH, A_SLASH),
         (
             [SLASHED.format("start") + note("B4", 16), SLASHED.format("stop") + note("C5", 16)],
-            [(4, 8, 72)],
-            "1 note that a slash stands for left out",
+            HIGH,
+            A_SLASH,
         ),
-        (
-            [note("C4", 8) + note("D4", 8).replace("<note", '<note dynamics="0"')],
-            [(0, 2, 60)],
-            "1 note of no volume left out",
-        ),
-        (
-            [note("C4", 8) + '<sound dynamics="0"/>' + note("D4", 8)],
-            [(0, 2, 60)],
-            "1 note of no volume left out",
-        ),
+        ([note("C4", 8) + note("D4", 8).replace("<note", '<note dynamics="0"')], HALF, SILENT),
+        ([note("C4", 8) + '<sound dynamics="0"/>' + note("D4", 8)], HALF, SILENT),
         (
             ["<harmony><kind>major</kind></harmony>" + note("C4", 16)],
-            [(0, 4, 60)],
+            LONG,
             "1 chord symbol left out",
         ),
-        (
-            [note("C4", 16, inside='<notations><slide type="start"/></notations>')],
-            [(0, 4, 60)],
-            "1 glissando left out",
-        ),
+        ([note("C4", 16, inside=SLIDE)], LONG, "1 glissando left out"),
     ],
 )
 def test_what_is_not_played_as_a_pitch_is_told(music, expected, remark, read):
