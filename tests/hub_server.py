@@ -101,7 +101,7 @@ class _Requests(BaseHTTPRequestHandler):
         url = f"{self.server.url}/{repo}/commit/{digest}"
         self._json({"success": True, "commitUrl": url, "commitOid": digest, "hookOutput": ""})
 
-    def _found(self, kind: str, repo: str, revision: str | None) -> tuple[str, Files] | None:
+    def _commit_at(self, kind: str, repo: str, revision: str | None) -> tuple[str, Files] | None:
         """The hash and the files of a commit; where there is none, says so."""
         commits = self.server.commits.get((kind, repo))
         if not commits:
@@ -114,7 +114,7 @@ class _Requests(BaseHTTPRequestHandler):
         return digest, commits[digest]
 
     def _about(self, kind: str, repo: str, what: str | None, revision: str | None) -> None:
-        if (commit := self._found(kind, repo, revision)) is None:
+        if (commit := self._commit_at(kind, repo, revision)) is None:
             return
         digest, files = commit
         sizes = {name: len(content) for name, content in files.items()}
@@ -130,7 +130,7 @@ class _Requests(BaseHTTPRequestHandler):
             self._json({"id": repo, "sha": digest, "siblings": siblings})
 
     def _file(self, kind: str, repo: str, revision: str, name: str) -> None:
-        if (commit := self._found(kind, repo, revision)) is None:
+        if (commit := self._commit_at(kind, repo, revision)) is None:
             return
         digest, files = commit
         if name not in files:

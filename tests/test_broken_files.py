@@ -88,22 +88,15 @@ def test_plans(number, performance, tmp_path):
             load_plan(path).check(options)
 
 
-@many(50, 1000)
-def test_recordings_that_are_played_back(number, performance, tmp_path):
+@many(50, 2000)
+def test_episodes(number, performance, tmp_path):
+    """Shown, and played back."""
     intact, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
     performance.episode.save(intact)
     for _, rng in draws(number):
         path.write_bytes(other_npz(rng, intact))
         with mutations.at_most_refused():
             load_plan(path).check({"physics": "published"})
-
-
-@many(30, 2000)
-def test_episodes(number, performance, tmp_path):
-    intact, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
-    performance.episode.save(intact)
-    for _, rng in draws(number):
-        path.write_bytes(other_npz(rng, intact))
         with mutations.at_most_refused():
             episode = load_episode(path)
             page = performance_page(episode, {}, {}, np.zeros((100, 2), np.float32))

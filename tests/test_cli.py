@@ -486,7 +486,7 @@ def test_the_planners_have_options_of_their_own(tune, tmp_path):
 # Planning
 
 
-def told_to_run(out: str) -> list[str]:
+def printed_command(out: str) -> list[str]:
     """The arguments of the command on the last line."""
     program, *arguments = shlex.split(out.strip().splitlines()[-1])
     assert program == "cadenza"
@@ -505,7 +505,7 @@ def test_a_plan_replays_bit_for_bit(options, tune, tmp_path, capsys):
     main(["plan", str(tune), "-o", str(path), *options])
     output = capsys.readouterr().out
     assert "in time (within 50 ms)" in output
-    main([*told_to_run(output), "--no-video", "-o", str(tmp_path)])
+    main([*printed_command(output), "--no-video", "-o", str(tmp_path)])
     arrays, facts = read_tensors(path, ANY, 2**20)
     assert arrays["action"].dtype == np.float64
     assert (facts["song"], facts["dt"]) == ("tune", 0.05)

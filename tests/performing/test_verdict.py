@@ -17,7 +17,7 @@ from cadenza.performing.verdict import Advice, advice, verdict
 EARLY = ["finger needed elsewhere"] * 30
 
 
-def said(
+def advice_for(
     missed: Sequence[str],
     early: Sequence[str],
     f1: float,
@@ -46,15 +46,15 @@ def said(
 def test_an_option_is_named_that_helps_against_most_of_what_was_missed(
     missed, early, f1, hands, arranged, option
 ):
-    tip = said(missed, early, f1, hands, arranged)
+    tip = advice_for(missed, early, f1, hands, arranged)
     assert tip is not None
     assert tip.option == option
     assert str(tip).endswith(f" ({option})")
 
 
 def test_what_is_played_well_needs_no_advice():
-    assert said(["no finger"] * 9, EARLY, 0.93) is None
-    assert said([], [], 0.5) is None  # who plays has no plan to tell by
+    assert advice_for(["no finger"] * 9, EARLY, 0.93) is None
+    assert advice_for([], [], 0.5) is None  # who plays has no plan to tell by
 
 
 def test_advice_is_among_the_notices():
@@ -72,7 +72,7 @@ def test_advice_is_among_the_notices():
 WRITTEN = Score(tuple(Note(at, at + 0.4, pitch, 70) for at, pitch in enumerate(range(60, 70))))
 
 
-def heard(*changed: Note, late: float = 0.0, louder: int = 0, first: int = 0) -> Score:
+def performed(*changed: Note, late: float = 0.0, louder: int = 0, first: int = 0) -> Score:
     """What is written from its note `first` on, later and louder, and other notes."""
     notes = (
         replace(n, start=n.start + late, end=n.end + late, velocity=n.velocity + louder)
@@ -85,17 +85,17 @@ def heard(*changed: Note, late: float = 0.0, louder: int = 0, first: int = 0) ->
     ("played", "sentence"),
     [
         (
-            heard(),
+            performed(),
             "All 10 notes in time (within 50 ms), evenly timed to 0 ms, loudness as written.",
         ),
         (
-            heard(Note(0.06, 0.4, 60, 70), Note(2, 2.2, 50, 70), first=2, louder=9),
+            performed(Note(0.06, 0.4, 60, 70), Note(2, 2.2, 50, 70), first=2, louder=9),
             "8 of 10 notes in time (within 50 ms), 1 early or late, 1 missed, 1 note that nobody "
             "wrote, evenly timed to 0 ms, loudness half a step off what is written (mp to mf is a "
             "step).",
         ),
         (
-            heard(late=0.03, louder=20),
+            performed(late=0.03, louder=20),
             "All 10 notes in time (within 50 ms), evenly timed to 0 ms, 30 ms late throughout, "
             "loudness a step or more off what is written (mp to mf is a step).",
         ),

@@ -83,7 +83,7 @@ def test_only_whole_systems_are_shown(browser, tmp_path, episode):
     write_page(tmp_path / "page.html", made)
     browser.open(tmp_path / "page.html")
     assert browser.evaluate("document.querySelectorAll('.system').length") > 4
-    are_whole = """(() => {
+    uncut = """(() => {
         const box = (e) => e.getBoundingClientRect(), EDGE = 7;
         const window = box(document.querySelector('#score'));
         const cursor = box(document.querySelector('#score .cursor'));
@@ -95,7 +95,7 @@ def test_only_whole_systems_are_shown(browser, tmp_path, episode):
     for moment, place in ((0.1, 0), (0.9, 1), (1.75, 2)):  # the current one in the middle
         browser.evaluate(f"cadenza.seek({moment})")
         browser.settle()
-        browser.wait(are_whole.replace("PLACE", str(place)), 5)  # it may be scrolling
+        browser.wait(uncut.replace("PLACE", str(place)), 5)  # it may be scrolling
 
 
 def test_the_score_is_hidden_and_downloaded(page, tmp_path):

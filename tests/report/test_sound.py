@@ -13,7 +13,7 @@ from cadenza.report import sound
 from cadenza.report.sound import SAMPLE_RATE, bit_rate_of, encode_opus, synthesize
 
 
-def heard(score):
+def samples_of(score):
     """(n, 2) within -1..1."""
     return synthesize(score)[:] / 32768
 
@@ -33,7 +33,7 @@ def spectrum(audio):
 
 @pytest.mark.parametrize("pitch", [33, 45, 57, 69, 81, 93, 105])
 def test_a_key_sounds_at_its_pitch(pitch):
-    frequency, strength = spectrum(heard(Score((Note(0, 3, pitch),))))
+    frequency, strength = spectrum(samples_of(Score((Note(0, 3, pitch),))))
     expected = 440 * 2 ** ((pitch - 69) / 12)
     near = (frequency > expected * 0.95) & (frequency < expected * 1.05)
     peak = frequency[near][np.argmax(strength[near])]
@@ -43,7 +43,9 @@ def test_a_key_sounds_at_its_pitch(pitch):
 
 def test_harder_is_louder_and_brighter():
     velocities = (30, 64, 90, 120)
-    audio = heard(Score(tuple(Note(2 * i, 2 * i + 1, 60, v) for i, v in enumerate(velocities))))
+    audio = samples_of(
+        Score(tuple(Note(2 * i, 2 * i + 1, 60, v) for i, v in enumerate(velocities)))
+    )
     notes = [audio[2 * i * SAMPLE_RATE : (2 * i + 1) * SAMPLE_RATE] for i in range(4)]
     loud = [amplitude(note, 0, 1) for note in notes]
     assert all(b > 1.3 * a for a, b in itertools.pairwise(loud))
@@ -65,20 +67,20 @@ def decay(audio, start, end):
     [(33, (1, 6), (0.3, 3)), (69, (7, 18), (2, 6)), (93, (25, 80), (10, 25))],
 )
 def test_notes_decay_as_those_of_a_piano_quickly_and_then_slowly(pitch, first, later):
-    audio = heard(Score((Note(0, 4, pitch, 100),)))
+    audio = samples_of(Score((Note(0, 4, pitch, 100),)))
     assert first[0] < decay(audio, 0.05, 0.4) < first[1]
     assert later[0] < decay(audio, 1.5, 2.5) < later[1]
 
 
 def test_a_long_note_is_still_heard_after_a_second():
-    audio = heard(Score((Note(0, 3, 69),)))
+    audio = samples_of(Score((Note(0, 3, 69),)))
     assert amplitude(audio, 1.0, 1.1) > 0.16 * amplitude(audio, 0.02, 0.12)  # 16 dB
 
 
 def test_the_pedal_holds_notes_until_it_is_lifted():
     note, later = Note(0, 0.5, 55), Note(3, 3.1, 90)
-    dry = heard(Score((note, later)))
-    held = heard(Score((note, later), (PedalEvent(0.2, 127), PedalEvent(2, 0))))
+    dry = samples_of(Score((note, later)))
+    held = samples_of(Score((note, later), (PedalEvent(0.2, 127), PedalEvent(2, 0))))
     assert amplitude(dry, 1.5, 1.9) < 0.02 * amplitude(dry, 0, 0.4)
     assert amplitude(held, 1.5, 1.9) > 0.2 * amplitude(held, 0, 0.4)
     assert amplitude(held, 2.8, 2.99) < 0.1 * amplitude(held, 1.5, 1.9)
@@ -114,7 +116,7 @@ PIECES = {
 
 @pytest.mark.parametrize("piece", PIECES)
 def test_all_recordings_are_equally_loud_and_none_clips(piece):
-    audio = heard(PIECES[piece])
+    audio = samples_of(PIECES[piece])
     assert pyloudnorm.Meter(SAMPLE_RATE).integrated_loudness(audio) == pytest.approx(-18, abs=0.3)
     between = signal.resample_poly(audio, 4, 1, axis=0)  # as BS.1770 finds the true peak
     assert np.abs(between).max() < 10 ** (-1 / 20)
@@ -161,7 +163,7 @@ def test_a_long_sound_is_what_it_is_in_memory(monkeypatch):
 
 
 def test_a_note_ends_without_a_click():
-    audio = heard(Score((Note(0, 1.0, 48, 100),)))[:, 0]
+    audio = samples_of(Score((Note(0, 1.0, 48, 100),)))[:, 0]
     step = np.abs(np.diff(audio, 2))  # a click is a step in the waveform
     assert (
         step[int(0.95 * SAMPLE_RATE) :].max()
@@ -172,7 +174,7 @@ def test_a_note_ends_without_a_click():
 
 
 def test_bass_comes_more_from_the_left():
-    low, high = (heard(Score((Note(0, 1, pitch),))) for pitch in (24, 100))
+    low, high = (samples_of(Score((Note(0, 1, pitch),))) for pitch in (24, 100))
     assert np.sum(low[:, 0] ** 2) > 1.5 * np.sum(low[:, 1] ** 2)
     assert np.sum(high[:, 1] ** 2) > 1.5 * np.sum(high[:, 0] ** 2)
 

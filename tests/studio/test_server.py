@@ -593,8 +593,8 @@ def test_a_song_plays_on_where_no_spare_player_can_start(queue):
         if begun:
             raise BlockingIOError(errno.EAGAIN, "no room for another process")
         begun.append(1)
-        told_now = f"sys.stdout.buffer.write({stream.getvalue()!r})"
-        return await player(f"import sys; sys.stdin.readline(); {told_now}")
+        answer = f"sys.stdout.buffer.write({stream.getvalue()!r})"
+        return await player(f"import sys; sys.stdin.readline(); {answer}")
 
     async def run(queue: jobs.JobQueue) -> None:
         job = asked(queue)
