@@ -56,10 +56,10 @@ def played(practice: RobotPractice, robot: SimulatedRobot) -> Take:
 def test_practice_plays_better_than_at_first(nominal: EpisodeResult) -> None:
     robot = SimulatedRobot(UnknownRobotEnv(TUNE, robot=4))
     practice = practice_of(nominal)
-    takes = [played(practice, robot) for _ in range(PLAYS)]
+    takes = [played(practice, robot).scored for _ in range(PLAYS)]
     assert practice.best is not None
-    assert practice.best.score == max(take.score for take in takes)
-    play(robot, len(practice.best.actions), in_turn(practice.best.actions))
+    assert practice.best.scored.score == max(take.score for take in takes)
+    play(robot, len(practice.best.scored.actions), in_turn(practice.best.scored.actions))
     first = takes[0]
     assert robot.scored["f1"] + robot.scored["note_onset_f1"] > first.score + 0.05
     assert robot.scored["note_onset_f1"] > 0.9

@@ -85,9 +85,8 @@ def _parts(score: Score) -> list[_InstrumentPart]:
 def _stretches(score: Score) -> list[float]:
     """The times at which stretches of one bar or more begin, the first at the beginning [s]."""
     edges = [0.0]
-    times = [bar.time for bar in score.bars] or np.arange(
-        0, score.total_time, _MIN_STRETCH
-    ).tolist()
+    times = [bar.time for bar in score.bars]
+    times = times or np.arange(0, score.total_time, _MIN_STRETCH).tolist()
     for time in times:
         if time >= edges[-1] + _MIN_STRETCH:
             edges.append(time)

@@ -313,10 +313,8 @@ class HandFile:
         """The rotation of a flat palm; a right hand's first finger is to the left."""
         fingers = list(self._own.values())[-max(len(self._own) - 1, 1) :]  # without the thumb
         bases = np.array([self._in_frame(self._root, self._origin(own[-1])) for own in fingers])
-        tips = np.array(
-            [self._in_frame(self._root, centre) for _, centre, _ in self._tips.values()]
-        )[-len(fingers) :]
-        along = _axis((tips - bases).sum(axis=0))
+        tips = [self._in_frame(self._root, centre) for _, centre, _ in self._tips.values()]
+        along = _axis((np.array(tips[-len(fingers) :]) - bases).sum(axis=0))
         if self.description.along is not None:
             sign, axis = self.description.along[:-1], self.description.along[-1]
             along = np.eye(3)["xyz".index(axis)] * (-1.0 if sign else 1.0)
@@ -362,9 +360,8 @@ class HandFile:
         elif centre is None:
             if not ends:
                 raise self.error(f"finger {finger} has no tip: {tip.tip} has no shape; give a site")
-            centre = max(ends, key=lambda end: float(np.linalg.norm(end[0] - self._origin(body))))[
-                0
-            ]
+            origin = self._origin(body)
+            centre, _ = max(ends, key=lambda end: float(np.linalg.norm(end[0] - origin)))
         radius = tip.radius
         if radius is not None and not 0 < radius <= _MAX_TIP_RADIUS:
             raise self.error(

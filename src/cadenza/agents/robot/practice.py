@@ -44,23 +44,29 @@ class _PlayInputs(NamedTuple):
     """(T, A) differences from the start [m, rad]."""
 
 
-class Take(NamedTuple):
-    """A play, its scores by the notes heard, and the corrections that it was played with."""
+class ScoredPlay(NamedTuple):
+    """A play, and its scores by the notes heard."""
 
     actions: Array
     """(T, A) in actuator units, the pedal last."""
     f1: float
     note_onset_f1: float
-    notes: list[Note]
-    """The notes that were heard, by the time of the song."""
-    measured: Array
-    """(T + 1, A) postures by the sensors, without their offset at the start."""
-    inputs: _PlayInputs
 
     @property
     def score(self) -> float:
         """F1 and note onset F1."""
         return self.f1 + self.note_onset_f1
+
+
+class Take(NamedTuple):
+    """A play with what was heard and measured, and the corrections that it was played with."""
+
+    scored: ScoredPlay
+    notes: list[Note]
+    """The notes that were heard, by the time of the song."""
+    measured: Array
+    """(T + 1, A) postures by the sensors, without their offset at the start."""
+    inputs: _PlayInputs
 
 
 class RobotPractice:
@@ -119,21 +125,21 @@ class RobotPractice:
         measured = play.joints @ self._servos.of_joints
         # The true start is known: what sensors show beside it is their offset.
         measured += self._postures[0] - measured[0]
-        f1, onsets = scores_heard(self._track, notes)
-        take = Take(play.actions, f1, onsets, notes, measured, self._inputs)
+        scored = ScoredPlay(play.actions, *scores_heard(self._track, notes))
+        take = Take(scored, notes, measured, self._inputs)
         self._plays += 1
         self._notes.locate(notes, measured)
         self._identify(take)
-        if self.best is None or take.score >= self.best.score:
+        if self.best is None or scored.score >= self.best.scored.score:
             self.best, self._share = take, 1.0
         learn_from = take
-        if take.score < self.best.score - _WORSE:
+        if scored.score < self.best.scored.score - _WORSE:
             learn_from, self._share = self.best, self._share * _REDUCTION
         self._inputs = self._inputs_after(learn_from)
         return take
 
     def _identify(self, take: Take) -> None:
-        sent = take.actions[:, :-1] - self._postures[0]
+        sent = take.scored.actions[:, :-1] - self._postures[0]
         self._tracked.append((sent, take.measured[1:] - self._postures[1:] + self._moved))
         late = self.response.late + self.sensors_late if self.best else None
         response = identified(self._servos, self._dt, self._tracked, self._usual, late)
@@ -155,19 +161,10 @@ class RobotPractice:
         after = np.concatenate([measured[2:], measured[-1:]])
         error = target - (1 - late) * measured[1:] - late * after
         change = self._share * _GAIN * error + self._target(corrections) - target
-        sent = take.actions[:, :-1] - self._postures[0]
+        sent = take.scored.actions[:, :-1] - self._postures[0]
         return _PlayInputs(
             corrections, self._robot.controls(sent, change, self._cost * self._plays)
         )
-
-
-class ScoredPlay(NamedTuple):
-    """A play, and its scores as heard."""
-
-    actions: Array
-    """(T, A) in actuator units, the pedal last."""
-    f1: float
-    note_onset_f1: float
 
 
 def learn_in_ten_plays(
@@ -195,15 +192,15 @@ def learn_in_ten_plays(
             policy: Callable[[], Act] = partial(closed.acting, closed.response)
             result = play(robot, num_steps, policy())
             take = ScoredPlay(result.actions, *closed.learn(result))
-            policies.append((take.f1 + take.note_onset_f1, policy))
+            policies.append((take.score, policy))
             yield take
         response = closed.response
     practice = RobotPractice(plan, nominal, ranges, response)
     while len(policies) < PLAYS:
         policy = partial(in_turn, practice.actions())
-        practised = practice.learn(play(robot, num_steps, policy()))
-        policies.append((practised.score, policy))
-        yield ScoredPlay(practised.actions, practised.f1, practised.note_onset_f1)
+        take = practice.learn(play(robot, num_steps, policy())).scored
+        policies.append((take.score, policy))
+        yield take
     _, best = max(policies, key=lambda scored: scored[0])
     result = play(robot, num_steps, best())
     notes = notes_heard(result.messages, num_steps * dt, practice.sensors_late)
