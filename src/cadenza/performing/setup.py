@@ -140,7 +140,7 @@ def _with_plan(plan: str | Path, configs: Mapping[str, Any]) -> Player:
 def _practised_hands(plan: SavedPlan, configs: Mapping[str, Any]) -> PractisedHands | None:
     if plan.practised is None:
         return None
-    config = as_config(configs.get(PLANNER), PlannerConfig)
+    config: PlannerConfig = configs.get(PLANNER) or PlannerConfig()
     if config.effort:
         raise CadenzaError(
             f"{plan.path}: is played as it was practised; leave out --planner.effort, or practise "
