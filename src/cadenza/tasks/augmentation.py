@@ -148,13 +148,9 @@ def draws_variation(config: TaskConfig) -> bool:
 
 
 def draw_track(
-    tracks: Sequence[GoalTrack],
-    config: TaskConfig,
-    pitches: range,
-    rng: np.random.Generator,
-    song: int | None = None,
+    tracks: Sequence[GoalTrack], rng: np.random.Generator, song: int | None = None
 ) -> GoalTrack:
-    """Draw a song, its tempo and its transposition for an episode, on keys of these `pitches`.
+    """Draw a song, its tempo and its transposition for an episode, as its task says.
 
     `rng` draws only what `song`, an index, and the configuration leave open. Fingers that were
     found for the song are found anew if it is transposed: other keys are black then.
@@ -162,6 +158,7 @@ def draw_track(
     if song is None:
         song = int(rng.integers(len(tracks))) if len(tracks) > 1 else 0
     track, score = tracks[song], tracks[song].score
+    config, pitches = track.config, track.scene.keyboard.pitches
     if config.random_stretch and _is_applied(config, rng):
         score = score.stretched(1.0 + rng.uniform(-config.random_stretch, config.random_stretch))
     stretched = score

@@ -122,7 +122,7 @@ class FunctionalPianoTask:
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         _check(self.config, self.scene)
         self.tracks = prepare_tracks(scores, self.config, self.scene)
-        played = _variations(self.tracks, self.config, self.scene)
+        played = _variations(self.tracks)
         self._per_song = len(played) // len(self.tracks)
         self.songs = _padded([track.goals for track in played], self.config)
         self.spec = task_spec(self.config, self.scene)
@@ -299,15 +299,13 @@ class FunctionalPianoTask:
         return {"song": episodes.song // self._per_song, **drawn}
 
 
-def _variations(
-    tracks: Sequence[GoalTrack], config: TaskConfig, scene: Scene
-) -> Sequence[GoalTrack]:
+def _variations(tracks: Sequence[GoalTrack]) -> Sequence[GoalTrack]:
     """The tracks that episodes draw from: variations of each if tempo or pitch is random."""
-    if not draws_variation(config):
+    if not draws_variation(tracks[0].config):
         return tracks
     count = max(VARIATIONS // len(tracks), _MIN_VARIATIONS)
     return [
-        draw_track(tracks, config, scene.keyboard.pitches, np.random.default_rng([song, i]), song)
+        draw_track(tracks, np.random.default_rng([song, i]), song)
         for song in range(len(tracks))
         for i in range(count)
     ]

@@ -214,8 +214,7 @@ class PianoTask:
     def _track(self, song: int | GoalTrack | None, rng: np.random.Generator) -> GoalTrack:
         if isinstance(song, GoalTrack):
             return song
-        pitches = self.scene.keyboard.pitches
-        return augmentation.draw_track(self.tracks, self.config, pitches, rng, song)
+        return augmentation.draw_track(self.tracks, rng, song)
 
     def _read_state(self) -> None:
         self.state = self.simulation.state
