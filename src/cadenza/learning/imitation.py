@@ -113,10 +113,7 @@ class Imitation(CheckpointedRun):
         self.resume()
 
     def _split(self, recorded: Sequence[RecordedEpisode]) -> tuple[tuple[str, ...], ...]:
-        """The names of episodes to learn from and of those held out.
-
-        A run that has begun keeps its own, whatever has been recorded since.
-        """
+        """Names of episodes to learn from and held out; a run that has begun keeps its own."""
         if self.folder.begun:
             known = self.folder.read_manifest()
             names = [known.get(name) for name in (_LEARNT_FROM, _HELD_OUT)]

@@ -87,10 +87,7 @@ class Motions:
         return motion
 
     def _octaves(self, keys: list[int]) -> int:
-        """Number of keys in the octaves between `keys` and the middle of the keyboard.
-
-        Motions are planned for keys in the middle.
-        """
+        """Keys of the octaves to the middle of the keyboard, where motions are planned."""
         lowest = min(keys)
         room = self._keyboard.num_keys - (max(keys) - lowest)
         first = lowest % _OCTAVE

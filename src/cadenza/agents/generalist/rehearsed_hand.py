@@ -69,10 +69,7 @@ class RehearsedHand:
         self.rehearsal.rehearse(self._goals, self._tracking, rows, self._simulation)
 
     def _key_qvel(self, key_qpos: Array) -> Array:
-        """Speeds (K,) of keys at `key_qpos` (K,), which no sensor measures.
-
-        They are those of the rehearsal where its keys are here, and 0 elsewhere.
-        """
+        """Speeds (K,) of keys, unmeasured: as rehearsed where they are as rehearsed, else 0."""
         speeds, keys = np.zeros_like(key_qpos), self.rehearsal.keys
         qpos, qvel = self.rehearsal.keys_at_end
         speeds[keys] = np.where(np.abs(key_qpos[keys] - qpos) < _AS_FORESEEN, qvel, 0.0)

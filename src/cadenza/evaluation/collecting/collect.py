@@ -215,10 +215,7 @@ def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> Son
 
 
 def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
-    """The task of a replay.
-
-    Its seed determines the draws of `DomainRandomization`.
-    """
+    """The task of a replay, whose seed determines the draws of `DomainRandomization`."""
     seed = result.episode.arrays.get("randomization_seed")
     randomization = replace(task.randomization, seed=None if seed is None else int(seed))
     return replace(as_drawn(task), randomization=randomization)

@@ -69,10 +69,7 @@ class ExcerptRun(CheckpointedRun):
 
 
 def _initial_weights(scene: Scene, path: Path | None) -> Weights:
-    """The networks of a file, by default those of Cadenza for the hands of a scene.
-
-    Raises CadenzaError if they are of other hands, or the file is damaged.
-    """
+    """The networks of a file, by default Cadenza's; raises CadenzaError if of other hands."""
     weights = shipped_for(scene) if path is None else Weights.load(path)
     if weights is None or weights.sizes != sizes_of(scene):
         raise CadenzaError(f"{path}: networks of other hands than {scene.hand.name}")

@@ -79,10 +79,7 @@ class Weights(NamedTuple):
 
     @classmethod
     def load(cls, path: Path) -> Weights:
-        """Read the networks of a file.
-
-        Raises CadenzaError if the file is missing or damaged.
-        """
+        """Read the networks of a file; raises CadenzaError if it is missing or damaged."""
         weights = cls.of(read_arrays(path, _expected()))
         (num_inputs, servos), networks, striking = weights
         inputs = np.concatenate([network.inputs.ravel() for network in (*networks, *striking)])
