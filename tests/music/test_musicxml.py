@@ -37,6 +37,7 @@ from numbered import numbers
     [
         "<identification><creator type='composer'>Clara</creator></identification>",
         "<credit><credit-type>composer</credit-type><credit-words>Clara</credit-words></credit>",
+        "<credit page='1'><credit-words justify='right'>Clara</credit-words></credit>",
     ],
 )
 def test_a_file_says_who_wrote_its_music(saved, credit):
@@ -46,6 +47,13 @@ def test_a_file_says_who_wrote_its_music(saved, credit):
         load_score(saved(text.replace("<part-list>", credit + "<part-list>", 1))).composer
         == "Clara"
     )
+
+
+def test_the_large_words_of_the_first_page_are_a_title(saved):
+    words = "<credit-words justify='center' valign='top'>Rag</credit-words>"
+    text = document([FOUR_QUARTERS + note("C4", 4)], title="")
+    credit = f"<credit page='1'>{words}</credit><part-list>"
+    assert load_score(saved(text.replace("<part-list>", credit, 1))).title == "Rag"
 
 
 def test_notes_times_and_title(read):

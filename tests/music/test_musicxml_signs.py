@@ -654,3 +654,9 @@ def test_music_may_be_doubled_an_octave_away(double, pitch, read):
 def test_rests_do_not_make_a_bar_longer(more, read):
     bar = TEMPO + note("C4", 16) + BACK + note("C3", 8, 2) + more * 3
     assert played(read(bar, note("D4", 16)))[2] == (4, 8, 62)
+
+
+def test_bars_have_the_fermatas_over_their_notes(read):
+    held = note("D4", 8, inside="<notations><fermata/></notations>")
+    score = read(FOUR_QUARTERS + note("C4", 8) + held, note("E4", 16))
+    assert [bar.fermatas for bar in score.bars] == [(1.0,), ()]

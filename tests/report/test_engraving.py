@@ -12,6 +12,7 @@ import pytest
 
 from cadenza.fingers import LEFT, RIGHT, Finger
 from cadenza.music.etudes.library import make_etude
+from cadenza.music.formats.musicxml_writing import musicxml_of
 from cadenza.music.libraries.library import load_score
 from cadenza.music.notation.sheet import sheet_of
 from cadenza.music.score import Bar, Note, Score
@@ -276,3 +277,12 @@ def test_pages_are_numbered_and_none_ends_with_a_system_by_itself(tmp_path, num_
     for number, page in enumerate(pages, start=1):
         assert f"({number} / {len(pages)}) Tj" in page
         assert page.count(" cm\nq") > 1  # systems
+
+
+def test_fermatas_are_drawn_and_not_written_where_the_tempo_waits_already():
+    song = Score(
+        (Note(0.0, 0.5, 72), Note(0.5, 2.0, 74)), bars=(replace(*bars(1), fermatas=(0.5,)),)
+    )
+    drawn, written = engraved(sheet_of(song)), musicxml_of(sheet_of(song))
+    assert "E4C0" in drawn.glyphs  # the name of the sign in SMuFL
+    assert "fermata" not in written

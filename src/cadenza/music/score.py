@@ -100,8 +100,9 @@ class Bar:
     Its beats begin at `beats` [s], the first of them with the bar; they are empty where the metre
     is unknown. Each is written as the part `1 / beat_type` of a whole note. `key` is the number of
     sharps of its key signature, negative for flats, if that is known. `words` of tempo in it, such
-    as "Andante" and "rit.", have their times [s]. Raises CadenzaError if a time is not finite, or
-    there is no such part of a whole note.
+    as "Andante" and "rit.", have their times [s]; under `fermatas` notes or rests begin at these
+    times [s]. Raises CadenzaError if a time is not finite, or there is no such part of a whole
+    note.
     """
 
     time: float
@@ -110,9 +111,11 @@ class Bar:
     beat_type: int = 4
     key: int | None = None
     words: tuple[tuple[float, str], ...] = ()
+    fermatas: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not all(map(isfinite, (self.time, *self.beats, *(time for time, _ in self.words)))):
+        times_of_words = (time for time, _ in self.words)
+        if not all(map(isfinite, (self.time, *self.beats, *times_of_words, *self.fermatas))):
             raise CadenzaError(f"bar at {self.time} s: give finite times")
         if self.beat_type not in BEAT_TYPES:
             raise CadenzaError(
@@ -122,7 +125,8 @@ class Bar:
     def moved(self, move: Callable[[float], float]) -> Bar:
         """The bar with `move` applied to all of its times [s]."""
         words = tuple((move(time), text) for time, text in self.words)
-        return replace(self, time=move(self.time), beats=tuple(map(move, self.beats)), words=words)
+        beats, fermatas = (tuple(map(move, times)) for times in (self.beats, self.fermatas))
+        return replace(self, time=move(self.time), beats=beats, words=words, fermatas=fermatas)
 
     def transposed(self, semitones: int) -> Bar:
         """The bar with the key signature transposed upwards."""

@@ -134,7 +134,7 @@ def engraved(sheet: Sheet, width: int = _WIDTH) -> Engraving:
     verovio.enableLog(verovio.LOG_OFF)
     toolkit = verovio.toolkit()
     toolkit.setOptions(_OPTIONS | {"pageWidth": width})
-    if not toolkit.loadData(_with_columns(musicxml_of(sheet))):
+    if not toolkit.loadData(_with_columns(musicxml_of(sheet, has_fermatas=True))):
         raise CadenzaError(f"{sheet.title}: the sheet music cannot be engraved")
     drawer = _Drawer(sheet)
     pages = range(1, toolkit.getPageCount() + 1)

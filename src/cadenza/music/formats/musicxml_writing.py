@@ -33,6 +33,9 @@ _ACCIDENTALS = {-2: "flat-flat", -1: "flat", 0: "natural", 1: "sharp", 2: "doubl
 _UNFLAGGED = 3  # the first note values have no flags
 _MINUTE = 60  # seconds
 _DOTTED = 1.5  # quarters of a dotted one
+_LATE = (
+    QUARTER // 16
+)  # ticks by which a note may lie after the fermata over it, as it was quantised
 _HALF = 2  # the lower number of a time signature whose beats are half notes
 
 
@@ -54,18 +57,20 @@ def write_musicxml(score: Score, path: str | Path) -> tuple[str, ...]:
     return sheet.remarks
 
 
-def musicxml_of(sheet: Sheet) -> str:
+def musicxml_of(sheet: Sheet, has_fermatas: bool = False) -> str:
     """The text of a MusicXML file.
 
+    It has fermatas only to be drawn: its tempos last as long as these do, and whoever plays the
+    file would wait twice.
     Its notes have ids: `n0` and so on in the order of `Sheet.notes`; what a note `n0` is tied to
     has the ids `n0.1` and so on.
     """
-    root = _document(sheet)
+    root = _document(sheet, has_fermatas)
     indent(root, "")
     return _HEADER + tostring(root, "unicode") + "\n"
 
 
-def _document(sheet: Sheet) -> Element:
+def _document(sheet: Sheet, has_fermatas: bool) -> Element:
     root = Element("score-partwise", version="4.0")
     if title := printable(sheet.title):
         _text(SubElement(root, "work"), "work-title", title)
@@ -81,7 +86,7 @@ def _document(sheet: Sheet) -> Element:
     listed = SubElement(SubElement(root, "part-list"), "score-part", id=_PART)
     _text(listed, "part-name", "Piano").set("print-object", "no")  # it is the only one
     part = SubElement(root, "part", id=_PART)
-    writer = _Writer(sheet)
+    writer = _Writer(sheet, has_fermatas)
     for i, _ in enumerate(sheet.measures):
         writer.write(part, i)
     return root
@@ -90,8 +95,8 @@ def _document(sheet: Sheet) -> Element:
 class _Writer:
     """The writer of the measures of a sheet, with as few divisions of a quarter as suffice."""
 
-    def __init__(self, sheet: Sheet) -> None:
-        self._sheet = sheet
+    def __init__(self, sheet: Sheet, has_fermatas: bool) -> None:
+        self._sheet, self._has_fermatas = sheet, has_fermatas
         self._unit = gcd(QUARTER, *_ticks(sheet))
         self._number = {id(note): i for i, note in enumerate(sheet.notes)}
         self._continued = Counter[int]()
@@ -158,7 +163,10 @@ class _Writer:
             until = end if following is None else following.value.start - 1
             self._put(measure, directions, symbol.value.start, until)
             if symbol.notes or voice.is_first or symbol.value.actual > 1:
-                self._symbol(measure, symbol, voice, beams.get(i, ()))
+                shown = here.fermatas if self._has_fermatas and voice.is_first else ()
+                begin, stop = (tick - _LATE for tick in (symbol.value.start, symbol.value.end))
+                waits = any(begin <= tick < stop for tick in shown)
+                self._symbol(measure, symbol, voice, beams.get(i, ()), waits)
             else:
                 forward = SubElement(measure, "forward")
                 self._lasting(forward, symbol.value.end - symbol.value.start, voice)
@@ -178,7 +186,7 @@ class _Writer:
             measure.append(direction)
 
     def _symbol(
-        self, measure: Element, symbol: Symbol, voice: _Voice, beams: Sequence[str]
+        self, measure: Element, symbol: Symbol, voice: _Voice, beams: Sequence[str], waits: bool
     ) -> None:
         for i, each in enumerate(symbol.notes or (None,)):
             note = SubElement(measure, "note")
@@ -209,6 +217,8 @@ class _Writer:
                 for number, beam in enumerate(beams, start=1):
                     _text(note, "beam", beam).set("number", str(number))
             notations = _notations(symbol, each[0] if each else None, is_first=not i)
+            if not i and waits:
+                SubElement(notations, "fermata", type="upright")
             if len(notations):
                 note.append(notations)
 

@@ -89,7 +89,8 @@ def tempos(metre: Metre, bars: Iterable[Bar] = ()) -> list[TempoMark]:
     marks = []
     seconds = latest = 0.0
     is_due = False
-    texts = [word for bar in bars for word in bar.words if word[0] < metre.times[-1]]
+    once = ({text: time for time, text in reversed(bar.words)} for bar in bars)
+    texts = [(t, text) for each in once for text, t in each.items() if t < metre.times[-1]]
     words = {_tick_near(metre, max(time, float(metre.times[0]))): text for time, text in texts}
     for tick in sorted({*seconds_at, *due_ticks, *words}):
         seconds = seconds_at.get(tick, seconds)

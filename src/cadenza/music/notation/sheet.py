@@ -66,6 +66,7 @@ class WrittenMeasure:
     """A measure with its staves, the upper first, its dynamic mark if any, tempos and pedal.
 
     A hairpin begins ("crescendo" or "diminuendo") or ends ("stop") with it if there is a `wedge`.
+    What sounds at the ticks of `fermatas` has one.
 
     It begins at the time `begin` [s] and ends at `end`. `key` is the number of sharps of its key
     signature, negative for flats.
@@ -81,6 +82,7 @@ class WrittenMeasure:
     wedge: str | None
     tempos: tuple[TempoMark, ...]
     pedal: tuple[PedalMark, ...]
+    fermatas: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,10 @@ def sheet_of(score: Score) -> Sheet:
     marks, wedges = dynamics(_by_measure(begins, all_streams, "velocity"))
     of_tempo = _grouped(begins, tempos(metre, score.bars))
     of_pedal = _grouped(begins, pedal_marks(score.pedal, metre))
+    of_fermata: list[list[int]] = [[] for _ in begins]
+    times_of_fermatas = [time for bar in score.bars for time in bar.fermatas]
+    for tick in metre.place(times_of_fermatas).round().astype(int).tolist():
+        of_fermata[max(bisect_right(begins, tick) - 1, 0)].append(tick)
     lines = [*begins, metre.measures[-1].end]
     times = np.interp(lines, metre.ticks, metre.times).tolist()
     measures = tuple(
@@ -150,6 +156,7 @@ def sheet_of(score: Score) -> Sheet:
             wedges.get(i),
             tuple(of_tempo[i]),
             tuple(of_pedal[i]),
+            tuple(of_fermata[i]),
         )
         for i, measure in enumerate(metre.measures)
     )

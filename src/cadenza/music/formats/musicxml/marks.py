@@ -264,7 +264,8 @@ class TempoMarks:
 
     A metronome mark counts where there is no tempo for playback. `marks` and `swings` have their
     places in quarters. Without a tempo of either kind, words such as "Andante" have their usual
-    ones. `words` are those of tempo, by quarters. Added to `counts` are those "usual" ones, tempos
+    ones. `words` are those of tempo, by quarters, and at `fermatas` notes or rests begin that have
+    one. Added to `counts` are those "usual" ones, tempos
     for playback that are "impossible", and metronome marks that are "unclear", as they give none.
     `begins` is as `timeline` returns it.
     """
@@ -289,6 +290,7 @@ class TempoMarks:
                     fermatas += _fermatas(placed)
                     if placed.element.find("notations/articulations/caesura") is not None:
                         self.marks.append(Caesura(placed.quarter + placed.duration))
+        self.fermatas = {each.onset for each in fermatas if each.onset < each.end}
         is_chorale = self._is_chorale([fermata.end for fermata in fermatas])
         for fermata in fermatas:
             if is_chorale and fermata.factor == FERMATA:

@@ -44,10 +44,16 @@ _DECIMALS = 9  # decimals of times [s]: a note that ends where another begins do
 _DRUM_CHANNEL = 10
 _AUDIBLE = Fraction(100)  # per cent of the volume
 _MAX_PARTS = 500  # an orchestra has some 50
-_TITLES = ("work/work-title", "movement-title", "credit[credit-type='title']/credit-words")
+_TITLES = (
+    "work/work-title",
+    "movement-title",
+    "credit[credit-type='title']/credit-words",
+    "credit[@page='1']/credit-words[@justify='center'][@valign='top']",  # MuseScore, without a type
+)
 _COMPOSERS = (
     "identification/creator[@type='composer']",
     "credit[credit-type='composer']/credit-words",
+    "credit[@page='1']/credit-words[@justify='right']",
 )
 
 
@@ -102,7 +108,7 @@ def _score(root: Element, tracks: Collection[int], plain: bool, title: str) -> S
     moves = (PedalEvent(max(0.0, time - begin), value) for time, value in pedal)
     score_bars = (
         bar.moved(lambda time: time - begin)
-        for bar in _bars(sheet.passages, tempo, tempo_marks.words)
+        for bar in _bars(sheet.passages, tempo, tempo_marks.words, tempo_marks.fermatas)
     )
     title, composer = _first_text(root, _TITLES) or title, _first_text(root, _COMPOSERS)
     return Score(score_notes, tuple(moves), title, remarks, listed, tuple(score_bars), composer)
@@ -164,21 +170,28 @@ def _hold(notes: Iterable[RawNote], moves: Sequence[tuple[float, int]]) -> None:
 
 
 def _bars(
-    passages: Iterable[Passage], tempo: TempoMap, words: Mapping[Fraction, str]
+    passages: Iterable[Passage],
+    tempo: TempoMap,
+    words: Mapping[Fraction, str],
+    fermatas: Iterable[Fraction],
 ) -> Iterator[Bar]:
-    """Yield the bars as they are played, in seconds, with `words` of tempo by quarters."""
-    places_of_words = sorted(words)
+    """Yield the bars as they are played, in seconds, with `words` of tempo and `fermatas`.
+
+    These are by quarters.
+    """
+    marked = sorted(words), sorted(fermatas)
     for passage in passages:
         bar, later = passage.bar, passage.later
-        in_bar = slice(
-            bisect_left(places_of_words, bar.begin), bisect_left(places_of_words, bar.end)
+        of_words, of_fermatas = (
+            places[bisect_left(places, bar.begin) : bisect_left(places, bar.end)]
+            for places in marked
         )
-        texts = [words[place] for place in places_of_words[in_bar]]
-        places = [place + later for place in (bar.begin, *bar.beats, *places_of_words[in_bar])]
-        begin, *seconds = np.round(tempo.onsets(places), _DECIMALS).tolist()
-        beats, times = seconds[: len(bar.beats)], seconds[len(bar.beats) :]
-        timed = tuple(zip(times, texts, strict=True))
-        yield Bar(begin, bar.number, tuple(beats), bar.beat_type, bar.key, timed)
+        (begin,), beats, times, held = (
+            tuple(np.round(tempo.onsets([place + later for place in each]), _DECIMALS).tolist())
+            for each in ([bar.begin], bar.beats, of_words, of_fermatas)
+        )
+        timed = tuple(zip(times, (words[place] for place in of_words), strict=True))
+        yield Bar(begin, bar.number, beats, bar.beat_type, bar.key, timed, held)
 
 
 @dataclass(frozen=True, slots=True)
