@@ -304,6 +304,20 @@ def test_notes_too_fast_for_control_steps_are_told(tmp_path, capsys):
     assert "too fast" not in capsys.readouterr().err
 
 
+def test_remarks_on_a_file_are_counted_and_shown_if_one_asks(tmp_path, capsys):
+    file, song = mido.MidiFile(), tmp_path / "twice.mid"
+    track = mido.MidiTrack([mido.Message("control_change", control=67, value=127)])
+    track += [mido.Message("note_on", note=60)] * 2 + [mido.Message("note_off", note=60, time=480)]
+    file.tracks.append(track)
+    file.save(song)
+    command = ["play", str(song), *QUICK, "-o", str(tmp_path / "out")]
+    main(command)
+    assert capsys.readouterr().err == "2 remarks on the file (--verbose shows them)\n"
+    main([*command, "--verbose"])
+    assert f"{song}: the soft pedal is left out\n" in capsys.readouterr().err
+    assert "the soft pedal is left out" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_a_pedal_that_is_hardly_lifted_is_told(tmp_path, capsys):
     moves = ((0.0, 127), (0.5, 0), (0.51, 127), (0.9, 0))
     song = tmp_path / "pedal.mid"

@@ -33,6 +33,10 @@ class CadenzaWarning(UserWarning):
     """
 
 
+class FileWarning(CadenzaWarning):
+    """A warning about what was repaired, or is left out, of a file of music."""
+
+
 _MAX_QUOTED = 100  # letters of a quoted value: enough to find it again
 _MAX_OTHERS = 300  # letters of a message of a library, which may quote its input
 _MAX_SHOWN = 1500  # letters of any message: a screen

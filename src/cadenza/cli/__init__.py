@@ -139,7 +139,8 @@ def _run(words: list[str]) -> None:
     else:
         default = _DEFAULTS.get(kind, lambda _: None)(chosen)
         command = parse(kind, prog, rest, default)
-    with warnings_in_a_line(), quietly(getattr(command, "quiet", False)):
+    verbose = getattr(command, "verbose", True)
+    with warnings_in_a_line(verbose), quietly(getattr(command, "quiet", False)):
         run(command, *read)
 
 

@@ -42,7 +42,9 @@ Quiet = Annotated[
 
 Verbose = Annotated[
     tyro.conf.FlagCreatePairsOff[bool],
-    tyro.conf.arg(help="Print all figures, too: metrics, rewards, and why notes were missed."),
+    tyro.conf.arg(
+        help="Print metrics, rewards, all remarks on the file, and why notes were missed."
+    ),
 ]
 """The option of commands that print a verdict."""
 

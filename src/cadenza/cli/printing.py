@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager, redirect_stdout
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cadenza.errors import CadenzaWarning, on_one_line
+from cadenza.errors import CadenzaWarning, FileWarning, counted, on_one_line
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -203,18 +203,25 @@ def quietly(quiet: bool) -> Iterator[None]:
 
 
 @contextmanager
-def warnings_in_a_line() -> Iterator[None]:
-    """Print every CadenzaWarning once, as a line without the place in the code."""
-    show, printed = warnings.showwarning, set[str]()
+def warnings_in_a_line(verbose: bool = True) -> Iterator[None]:
+    """Print every CadenzaWarning once, as a line without the place in the code.
+
+    At the end, several about the file are counted in one line, unless `verbose`.
+    """
+    show, printed, about_file = warnings.showwarning, set[str](), list[str]()
 
     def print_ours(
         message: Warning | str, category: type[Warning], *where: Any, **others: Any
     ) -> None:
         if issubclass(category, CadenzaWarning):
             text = on_one_line(str(message))
-            if text not in printed:
-                print(text, file=sys.stderr)
+            if text in printed:
+                return
             printed.add(text)
+            if not verbose and issubclass(category, FileWarning):
+                about_file.append(text)
+            else:
+                print(text, file=sys.stderr)
         else:
             show(message, category, *where, **others)
 
@@ -222,7 +229,14 @@ def warnings_in_a_line() -> Iterator[None]:
         # Python's own "once" forgets what it has shown whenever filters change.
         warnings.simplefilter("always", CadenzaWarning)
         warnings.showwarning = print_ours
-        yield
+        try:
+            yield
+        finally:
+            if len(about_file) > 1:
+                remarks = counted(len(about_file), "remark")
+                about_file = [f"{remarks} on the file (--verbose shows them)"]
+            for line in about_file:
+                print(line, file=sys.stderr)
 
 
 def open_closed_streams() -> None:

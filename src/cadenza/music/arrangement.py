@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from cadenza.configs import as_config, check_ranges, whole_number
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, FileWarning
 from cadenza.fingers import SIDES
 from cadenza.music.expression_rules import MAX_QUANTITY, ExpressionRules
 from cadenza.music.libraries.songs import Song
@@ -144,7 +144,7 @@ def load(song: SomeSong | LoadedSong, arrangement: Arrangement | None = None) ->
     written = song.load(arrangement.tracks, arrangement.plain)
     score = arrangement.performed(written, song.name)
     for remark in score.remarks:
-        warnings.warn(f"{song.name}: {remark}", CadenzaWarning, stacklevel=3)
+        warnings.warn(f"{song.name}: {remark}", FileWarning, stacklevel=3)
     return LoadedSong(song.name, score, arrangement, written if arrangement.expression else None)
 
 
