@@ -93,7 +93,7 @@ def control_steps_a_second(count: int = 600) -> float:
 def page() -> Iterator[Browser]:
     """Yields the page of a studio of its own, when its player is ready."""
     with tempfile.TemporaryDirectory() as folder:
-        command = ["studio", "--folder", f"{folder}/played", "--no-video", "--no-browser"]
+        command = ["studio", "--folder", f"{folder}/played", "--no-browser"]
         server = subprocess.Popen(
             [sys.executable, "-m", "cadenza", *command], stdout=subprocess.PIPE, text=True
         )

@@ -20,10 +20,11 @@ class Broadcast:
     Attributes:
         title: the title of the song.
         request: see `cadenza.studio.request.PlayRequest`.
-        status: `state` is queued, with the number of songs `before` it, preparing, playing, played,
-            writing, or one of `_OVER`.
+        status: `state` is queued, with the number of songs `before` it, and about how many
+            `seconds` it waits, if that is known, preparing, playing, played, writing, or one of
+            `_OVER`.
         texts: messages of JSON so far, see `cadenza.studio.state_stream`.
-        rows: the states of all steps so far.
+        rows: the states of all steps so far; they will be `size` bytes, 0 before that is known.
         changed: is set whenever there is more to send, and replaced.
     """
 
@@ -32,6 +33,7 @@ class Broadcast:
     status: dict[str, Any] = field(default_factory=lambda: {"state": "queued"})
     texts: list[bytes] = field(default_factory=list)
     rows: bytearray | bytes = field(default_factory=bytearray)
+    size: int = 0
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
@@ -55,6 +57,7 @@ class Broadcast:
             received = json.loads(content)
             if "state" not in received:
                 self.texts.append(content)
+                self.size = received.get("steps", 0) * received.get("row", 0) or self.size
             elif received["state"] != "preparing" or self.status["state"] != "playing":
                 kept_status = {name: self.status[name] for name in _LASTING if name in self.status}
                 self.status = kept_status | received

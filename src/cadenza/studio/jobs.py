@@ -2,8 +2,10 @@
 
 import asyncio
 import json
+import math
 import secrets
 import shutil
+import time
 from asyncio.subprocess import Process
 from collections import deque
 from contextlib import suppress
@@ -29,6 +31,7 @@ MAX_QUEUED = 8
 _WRITING = ("played", "writing")  # states
 _MAX_WRITING = 2  # jobs that write their files while others play
 _MAX_FAILED = 8  # jobs that are remembered as failed or cancelled
+_TELLING_UNIT = 5  # [s] to which those that wait are told how long, and after which that is known
 _CANCEL_TIME = 2.0  # [s] that a process has to drop a song that is cancelled
 
 
@@ -38,12 +41,14 @@ class Job(Broadcast):
 
     Attributes:
         order: the order to the process that plays.
-        is_busy: whether a process works on it; `process` once that has started.
+        is_busy: whether a process works on it; `process` once that has started, which plans steps
+            from the time `begun` [s] on.
         timeout: kills the process, where it does not drop a cancelled song in time.
     """
 
     order: Order = field(kw_only=True)
     is_busy: bool = False
+    begun: float = 0.0
     process: Process | None = None
     timeout: asyncio.TimerHandle | None = None
 
@@ -56,6 +61,14 @@ class Job(Broadcast):
     def summary(self) -> dict[str, Any]:
         """Fields that the page shows."""
         return {"id": self.id, "title": self.title, "status": self.status}
+
+    @property
+    def time_left(self) -> float:
+        """About how long it will still be planned [s], infinite before that is known."""
+        passed = time.monotonic() - self.begun
+        if not self.begun or not self.size or passed < _TELLING_UNIT:
+            return math.inf
+        return passed * (self.size / len(self.rows) - 1)
 
 
 class JobQueue:
@@ -126,12 +139,21 @@ class JobQueue:
         """Start the jobs that can play now, and update the places of the others in the queue."""
         while self._waiting and self._has_room():
             self._start(self._waiting.popleft())
-        num_busy = sum(job.is_busy for job in self.jobs.values())
-        for place, job in enumerate(self._waiting, start=num_busy):
-            job.status = {"state": "queued", "before": place}
-            job.notify()
+        self._tell_waiting()
         self._forget()
-        self.practice.pause(num_busy > 0)
+        self.practice.pause(any(job.is_busy for job in self.jobs.values()))
+
+    def _tell_waiting(self) -> None:
+        """Tell songs their places in the queue, and the next ones about when they begin."""
+        busy = [job for job in self.jobs.values() if job.is_busy]
+        ends = sorted(job.time_left for job in busy if job.status["state"] not in _WRITING)
+        for place, job in enumerate(self._waiting):
+            status = {"state": "queued", "before": len(busy) + place}
+            if place < len(ends) and math.isfinite(ends[place]):
+                status["seconds"] = _TELLING_UNIT * math.ceil(ends[place] / _TELLING_UNIT)
+            if status != job.status:
+                job.status = status
+                job.notify()
 
     def _has_room(self) -> bool:
         busy = [job for job in self.jobs.values() if job.is_busy]
@@ -188,6 +210,8 @@ class JobQueue:
             state = job.status["state"]
             if state != "cancelled":
                 job.receive(kind, content)
+                job.begun = job.begun or bool(job.rows) * time.monotonic()
+                self._tell_waiting()
             if job.status["state"] != state:
                 await self._state_changed(job)
         return False

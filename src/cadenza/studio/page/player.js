@@ -2,12 +2,14 @@
 
 const instrument = createInstrument(), looks = createLooks(), isLooping = looping();
 // [s] that are planned ahead before it plays: `FAST_LEAD` where planning is `FAST` times faster than the
-// music, `SHORT_LEAD` when the visitor has waited for `LATE_START` [s], and twice as much as before, up to
-// `LONGEST_LEAD`, each time that planning falls behind.
-const LEAD = 2.5, FAST_LEAD = 1.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE_START = 2.2;
+// music, `SHORT_LEAD` when that has taken `LATE_START` [s], and twice as much as before, up to
+// `LONGEST_LEAD`, each time that planning falls behind. Where planning is slower than the music, as much as it will fall
+// behind by its end. Where others played as it was asked for, the machine is shared: `SHARED_LEAD`.
+const LEAD = 2.5, FAST_LEAD = 1.5, SHORT_LEAD = 1, SHARED_LEAD = 8, LONGEST_LEAD = 20, FAST = 1.4, LATE_START = 2.2;
 // [ms] between two pictures of the flat view while it is planned: 30 a second, and a few more that make
 // up for those that come late.
 const FRAME_INTERVAL = 32;
+const TELLING_UNIT = 5; // [s] to which it says how long it waits
 const SCORES_INTERVAL = 250; // [ms] between two updates of roll and scores
 const SOUND_AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
 const STAGE_NOTICES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
@@ -19,7 +21,7 @@ const END_NOTICES = {
 let current = null, stage = null, roll = null, score = null;
 let numChoices = 0; // how often something has been chosen to be shown
 let speed = 1;
-let running = false, paused = false, resumeAt = 0, nextRow = 0, scoresDrawnAt = 0, askedAt = 0, nextFrame = 0;
+let isShared = false, running = false, paused = false, resumeAt = 0, nextRow = 0, scoresDrawnAt = 0, askedAt = 0, nextFrame = 0;
 
 // The clock is that of the sound where there is one, else wall time.
 const wallTime = () => performance.now() / 1000, audioTime = () => instrument.time;
@@ -77,6 +79,7 @@ function overrideNotice(text) {
 function watch(id, at = 0) {
   numChoices++;
   $("first").hidden = true;
+  isShared = false;
   current?.close();
   instrument.silence();
   clearPicture();
@@ -236,9 +239,14 @@ async function showOpening() {
   $("looks").hidden = false;
   showNotice(notice[0], null, null, true);
 }
-/** Returns how much has to be planned ahead before it plays [s]. */
+/** Returns how much has to be planned ahead before it plays [s], so that planning does not fall behind. */
 function requiredLead() {
+  const { pace } = current, behind = pace ? (duration() - available()) * (speed / pace - 1) : 0;
+  return Math.max(usualLead(), Math.min(behind, LONGEST_LEAD));
+}
+function usualLead() {
   if (cadenza.waits) return Math.min(speed * LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
+  if (isShared) return speed * SHARED_LEAD;
   if (wallTime() > askedAt + LATE_START) return speed * SHORT_LEAD;
   return speed * (current.pace > speed * FAST ? FAST_LEAD : LEAD);
 }
@@ -259,9 +267,13 @@ function updatePlayback() {
   else if (!paused && !cadenza.finished) playWhenReady(end);
 }
 function showPreparation() {
-  const { over, recording, status: { state, stage: doing, done, total, before } } = current;
+  const { over, recording, status: { state, stage: doing, done, total, before, seconds } } = current;
   if (over) showNotice(END_NOTICES[state] ?? "", null, null, Boolean(recording));
-  else if (state === "queued") showNotice(before ? `Waiting for its turn: ${before} before it` : "Waiting for its turn");
+  else if (state === "queued") {
+    [askedAt, isShared] = [wallTime(), isShared || before > 0];
+    const when = seconds ? `; it begins in about ${seconds} s` : "";
+    showNotice(before ? `Waiting for its turn: ${before} before it${when}` : "Waiting for its turn");
+  }
   else showNotice(STAGE_NOTICES[doing] ?? "Getting ready", doing ? done : null, doing ? total : null, Boolean(recording));
 }
 function playWhenReady(end) {
@@ -274,7 +286,11 @@ function playWhenReady(end) {
     startClock();
   } else if (current.complete) finish();
   else if (current.over) showNotice(END_NOTICES[current.status.state] ?? "", null, null, true);
-  else showNotice(cadenza.waits ? "Planning has fallen behind; a moment" : "Planning ahead", Math.max(ahead, 0), wanted, true);
+  else {
+    const doing = cadenza.waits ? "Planning has fallen behind" : "Planning ahead", patience = Math.ceil((wanted - ahead) / current.pace);
+    const when = patience > LATE_START && patience < Infinity ? `; it plays in about ${TELLING_UNIT * Math.ceil(patience / TELLING_UNIT)} s` : "";
+    showNotice(doing + when, Math.max(ahead, 0), wanted, true);
+  }
 }
 function finish() {
   cadenza.finished = true;

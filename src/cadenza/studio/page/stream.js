@@ -1,7 +1,7 @@
 // A performance that the server streams while it is played.
 
 const OVER = ["kept", "failed", "cancelled", "gone"], COMPLETE = ["played", "writing", "kept"];
-const PACE_WINDOW = 2, MIN_ARRIVALS = 6; // [s] and messages over which the pace of planning is measured
+const PACE_WINDOW = 10, MIN_ARRIVALS = 6; // [s] and messages over which the pace of planning is measured
 const RETRY_DELAY = 500, MAX_RETRY_DELAY = 5000; // [ms] before the next attempt to reach the server, for each that failed; and at most
 
 /**
