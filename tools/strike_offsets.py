@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cadenza.episode import Episode
-from cadenza.fingers import NO_FINGER
 from cadenza.music.score import Note
 
 Array = NDArray[np.float64]
@@ -19,24 +18,22 @@ Array = NDArray[np.float64]
 def strike_offsets(episode: Episode, notes: Iterable[Note]) -> Array:
     """Distances (N,) of fingertips across their keys [m] where notes that were played begin.
 
-    A fingertip is the one that is to press the key then or in the next step; notes without are left
-    out. Between the ends of steps, its place is that of a cubic spline. The distance is that from
-    the middle of the key's free width: of a white key, its own up to the black keys, and what these
-    leave of it where the middle of the fingertip is between them.
+    A key is struck by the fingertip for which this distance plus its height is least. Between the
+    ends of steps, places are those of a cubic spline. The distance is that from the middle of the
+    key's free width: of a white key, its own up to the black keys, and what these leave of it where
+    the middle of the fingertip is between them.
 
     Raises:
-        CadenzaError: the episode does not hold fingers and their places.
+        CadenzaError: the episode does not hold the places of fingertips.
     """
-    fingers, tips = episode["goal_fingers"], episode["fingertip_xpos"][..., :2]
+    tips = episode["fingertip_xpos"]
     in_front, between, black_front = _middles(episode.scene["keys"])
     places = CubicSpline(episode.dt * np.arange(1, episode.num_steps + 1), tips)
-    offsets = []
+    offsets = list[float]()
     for note in notes:
-        step, key = int(note.start / episode.dt), note.pitch - episode.lowest_pitch
-        finger = next((n for n in fingers[step : step + 2, key] if n != NO_FINGER), None)
-        if finger is not None:
-            x, y = places(note.start)[finger]
-            offsets.append(abs(y - (in_front if x > black_front else between)[key]))
+        key, (x, y, z) = note.pitch - episode.lowest_pitch, places(note.start).T
+        offset = abs(y - np.where(x > black_front, in_front[key], between[key]))
+        offsets.append(offset[np.argmin(offset + z)])
     return np.array(offsets)
 
 
