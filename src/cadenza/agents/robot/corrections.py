@@ -27,7 +27,7 @@ from cadenza.scene.servos import servos_of
 _DEEPER = 0.0015  # depth for a key that was lost
 _BESIDE = 0.0015  # shift of a finger that brushes the next key
 _RAISE = 0.003  # height of an idle finger that sounds a key
-_LIFT = (-0.002, 0.003)  # minimum and maximum at the end of a press
+_LIFT = 0.004  # maximum at the end of a press, to either side
 _MAX_STRIKE = np.array([0.004, 0.008])
 _BOUNDS: dict[str, tuple[Any, Any]] = {
     "deeper": (-1.0, 2.0),
@@ -45,8 +45,9 @@ _MAX_ERROR = np.array([0.06, 1.5])  # [s, octaves] of a strike that counts
 _UNIT = UNIT / [1.0, 0.4]  # errors of equal weight: times matter more than loudness
 _DAMPING = 1e3  # [1/m^2] of the corrections of strikes, as in `StrikeRefinement`
 _END = 0.02  # target time from the end of a press to the end of its note, to be not too early [s]
-_LIFT_SPEED = 0.06  # [m/s] correction of lifts by the error of the end
+_LIFT_SPEED = 0.15  # [m/s] of lifts by the error of the end
 _LOST = 0.06  # [s] by which a note is too short, above which its key was lost, not released
+_HOLD = 0.006  # [m] of lowering at the end of a press for which its finger stays a control step
 _NEAR = 5  # control steps around a press in which its finger may sound its key
 _BEFORE = 3  # control steps before a press in which its finger moves over its key
 _STRIKING = 4  # first control steps of a press, which show where its finger struck
@@ -66,7 +67,7 @@ class PressCorrections:
     deeper: Array
     """(N,) while a key is held."""
     lift: Array
-    """(N,) at the end of the press."""
+    """(N,) at the end of the press; below 0, its finger stays longer."""
     beside: Array
     """(N,) to the player's right."""
     reach: Array
@@ -147,7 +148,19 @@ class NoteCorrections:
             jacobian = self._jacobian[:, fingers]
             change = servo_corrections(error[:, fingers], weight, jacobian, self._servos[hand])
             postures[:, self._scene.servos_on(side)] += change
-        return postures
+        return postures + self._held_longer(corrections)
+
+    def _held_longer(self, corrections: PressCorrections) -> Array:
+        """Changes of postures (T + 1, A) for fingers that release their keys later."""
+        change, steps = np.zeros_like(self._postures), np.arange(len(self._postures))
+        share = (-corrections.lift / _HOLD).clip(0.0, 1.0)
+        for press, row, hold in zip(self._presses, self._rows, share, strict=True):
+            hand, finger = divmod(row, self._fingers)
+            servos = self._scene.servos_on(self._scene.sides[hand])
+            last = steps[press.last - 1 : press.last + 2]
+            delayed = hold * (self._postures[last - 1, servos] - self._postures[last, servos])
+            change[last, servos] += delayed * (self._servos[hand].finger == finger)
+        return change
 
     def _displacements(self, corrections: PressCorrections) -> Array:
         """Displacements (T + 1, F, 3) of fingertips by the corrections [m]."""
@@ -158,8 +171,9 @@ class NoteCorrections:
             result[press.first - 1 : press.last, row, 1] += corrections.beside[i]
             if wait := int(corrections.wait[i]):
                 result[max(press.first - _BEFORE, 0) : press.first + wait, row, 2] += _AWAY
-            result[press.last - 1, row, 2] += corrections.lift[i] / 2
-            result[press.last : press.last + 1, row, 2] += corrections.lift[i]
+            lift = max(corrections.lift[i], 0.0)
+            result[press.last - 1, row, 2] += lift / 2
+            result[press.last : press.last + 1, row, 2] += lift
         for first, last, row in corrections.raised:
             result[first:last, row, 2] += _RAISE
         return result
@@ -264,10 +278,7 @@ class NoteCorrections:
         press = self._presses[i]
         due, _ = self._due(press)
         if any(note.start < due < note.end for note in notes):
-            before = [j for j in range(i) if self._presses[j].key == press.key]
-            if before:
-                new.lift[before[-1]] += _LIFT[1]
-            return
+            return  # the note before is corrected, as it ends late
         new.deeper[i] += _DEEPER
         new.strike[i, 1] += 2 * _DEEPER
 
@@ -296,7 +307,7 @@ class NoteCorrections:
         if note.end < end - _LOST:
             new.deeper[i] += _DEEPER
         elif self._presses[i].last <= self._steps:  # the last notes end with the song
-            new.lift[i] += np.clip(_LIFT_SPEED * (note.end - end - _END), *_LIFT)
+            new.lift[i] += np.clip(_LIFT_SPEED * (note.end - end - _END), -_LIFT, _LIFT)
 
     def _correct_others(self, new: PressCorrections, notes: list[Note], tips: Array) -> None:
         """Correct extra notes, by the places of fingertips (T + 1, F, 3)."""
@@ -306,7 +317,7 @@ class NoteCorrections:
             state = min(int(note.start / self._dt) + 1, self._steps)
             if of_key := self._pressing(state, _NEAR, key=key):
                 if note.start > self._due(self._presses[of_key[0]])[1]:
-                    new.lift[of_key[0]] += _LIFT[1]
+                    new.lift[of_key[0]] += _LIFT
                 continue
             away = abs(tips[state, :, 1] + right - keyboard.centre[key, 1])
             row = int(np.argmin(away + np.maximum(tips[state, :, 2] - _HIGHEST, 0.0)))
