@@ -15,7 +15,7 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.robot.closed_loop import ClosedLoop
 from cadenza.agents.robot.places import HandPlaces
 from cadenza.agents.robot.practice import RobotPractice, Take
-from cadenza.agents.robot.protocol import CheckedRobot, Message, in_turn, notes_heard, play
+from cadenza.agents.robot.protocol import CheckedRobot, KeyMessage, in_turn, notes_heard, play
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.agents.robot.simulated import SimulatedRobot
 from cadenza.agents.rollout import EpisodeResult, begin_episodes, play_episode
@@ -86,7 +86,7 @@ def test_what_is_heard_is_scored_as_what_is_true(nominal: EpisodeResult) -> None
 
 def test_notes_that_bounce_go_on() -> None:
     messages = [(0.1, 60, 70), (0.2, 60, 0), (0.21, 60, 50), (0.4, 60, 0), (0.5, 62, 40)]
-    notes = notes_heard([Message(*message) for message in messages], 1.0, late=0.1)
+    notes = notes_heard([KeyMessage(*message) for message in messages], 1.0, late=0.1)
     assert [(n.start, n.end, n.pitch, n.velocity) for n in notes] == [
         (0.0, pytest.approx(0.3), 60, 70),
         (0.4, 1.0, 62, 40),
@@ -228,7 +228,7 @@ def checked(driver: Driver) -> CheckedRobot:
 
 def test_what_a_driver_says_is_checked() -> None:
     messages = checked(Driver(messages=[[0.1, 72.0, 64.0], (0.2, np.int64(72), 0)])).messages()
-    assert messages == [Message(0.1, 72, 64.0), Message(0.2, 72, 0.0)]
+    assert messages == [KeyMessage(0.1, 72, 64.0), KeyMessage(0.2, 72, 0.0)]
     assert isinstance(messages[0].pitch, int)
     for joints in ([0.0], 0.0, [0.0, np.nan]):
         with pytest.raises(CadenzaError, match=r"^robot hands: read\(\) returned numbers of shape"):

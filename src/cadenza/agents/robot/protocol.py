@@ -15,7 +15,7 @@ from cadenza.music.score import LOUDEST, MIDI_PITCHES, Note, Score
 from cadenza.tasks.goal_track import GoalTrack
 
 
-class Message(NamedTuple):
+class KeyMessage(NamedTuple):
     """A MIDI message of the instrument: the onset or the offset of a key."""
 
     time: float
@@ -42,7 +42,7 @@ class Robot(Protocol):
     def read(self) -> Array:
         """Wait for the end of the control step, and return the measured joints (J,) [m, rad]."""
 
-    def messages(self) -> list[Message]:
+    def messages(self) -> list[KeyMessage]:
         """Messages of the instrument since the last call, by time."""
 
     def stop(self) -> None:
@@ -69,18 +69,18 @@ class CheckedRobot:
             )
         return joints
 
-    def messages(self) -> list[Message]:
+    def messages(self) -> list[KeyMessage]:
         """See `Robot.messages`."""
         return [self._message(each) for each in self._driver.messages()]
 
-    def _message(self, given: Sequence[float]) -> Message:
+    def _message(self, given: Sequence[float]) -> KeyMessage:
         time, pitch, velocity = map(float, given)
         if not (np.isfinite(time) and pitch in MIDI_PITCHES and 0 <= velocity <= LOUDEST):
             raise CadenzaError(
                 f"robot {self._name}: messages() returned {quoted(tuple(given))}: give the time "
                 f"[s], the MIDI number of the key, and 0 to {LOUDEST}"
             )
-        return Message(time, int(pitch), velocity)
+        return KeyMessage(time, int(pitch), velocity)
 
 
 class Play(NamedTuple):
@@ -90,7 +90,7 @@ class Play(NamedTuple):
     """(T, A) actions in actuator units, the pedal last."""
     joints: Array
     """(T + 1, J) measured joints before the first step and after each [m, rad]."""
-    messages: tuple[Message, ...]
+    messages: tuple[KeyMessage, ...]
 
 
 Act = Callable[[int, Array], Array]
@@ -101,7 +101,7 @@ def play(robot: Robot, num_steps: int, act: Act) -> Play:
     """Play `num_steps` control steps."""
     robot.start()
     try:
-        joints, actions, messages = [robot.read()], list[Array](), list[Message]()
+        joints, actions, messages = [robot.read()], list[Array](), list[KeyMessage]()
         for step in range(num_steps):
             actions.append(act(step, joints[-1]))
             robot.send(actions[-1])
@@ -133,7 +133,7 @@ def scores_heard(track: GoalTrack, notes: Sequence[Note]) -> tuple[float, float]
     return metrics["f1"], metrics["note_onset_f1"]
 
 
-def notes_heard(messages: Iterable[Message], seconds: float, late: float = 0.0) -> list[Note]:
+def notes_heard(messages: Iterable[KeyMessage], seconds: float, late: float = 0.0) -> list[Note]:
     """Notes of the first `seconds`, by time, from messages that are `late` [s]."""
     sounded, none = SoundedNotes(0.0), float("nan")
     for time, pitch, velocity in messages:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cadenza.agents.agent import Array
-from cadenza.agents.robot.protocol import Message
+from cadenza.agents.robot.protocol import KeyMessage
 from cadenza.tasks.reward import midi_velocity
 from cadenza.tasks.unknown_robot import UnknownRobotEnv
 
@@ -25,7 +25,7 @@ class SimulatedRobot:
         """Take an environment in which nothing has been played."""
         self.env, self._spec = env, env.task.spec
         self._plays, self._steps = 0, 0
-        self._messages: list[Message] = []
+        self._messages: list[KeyMessage] = []
         self.scored: Mapping[str, Any] = {}
 
     def start(self) -> None:
@@ -42,7 +42,7 @@ class SimulatedRobot:
     def read(self) -> Array:
         return self.env.task.sensed.hand_qpos[0].copy()
 
-    def messages(self) -> list[Message]:
+    def messages(self) -> list[KeyMessage]:
         messages, self._messages = self._messages, []
         return messages
 
@@ -57,5 +57,5 @@ class SimulatedRobot:
         for times, velocity in (onset, loudness), (offset, np.zeros_like(loudness)):
             for key in np.flatnonzero(np.isfinite(times)):
                 time, pitch = begin + times[key], int(key) + keyboard.lowest_pitch
-                self._messages.append(Message(float(time), pitch, float(velocity[key])))
+                self._messages.append(KeyMessage(float(time), pitch, float(velocity[key])))
         self._messages.sort()

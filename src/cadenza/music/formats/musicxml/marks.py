@@ -265,8 +265,8 @@ class TempoMarks:
     A metronome mark counts where there is no tempo for playback. `marks` and `swings` have their
     places in quarters. Without a tempo of either kind, words such as "Andante" have their usual
     ones. `words` are those of tempo, by quarters, and at `fermatas` notes or rests begin that have
-    one. Added to `counts` are those "usual" ones, tempos
-    for playback that are "impossible", and metronome marks that are "unclear", as they give none.
+    one. Added to `counts` are those "usual" ones, tempos for playback that are "impossible", and
+    metronome marks that are "unclear", as they give none.
     `begins` is as `timeline` returns it.
     """
 
