@@ -4,8 +4,9 @@
         [--profiles P ...] [--robots SEED ...] [--ways W ...] [--seconds S] [-o docs/results]
 
 Plays the first seconds of each song on robots, by default 0 to 9. Directly, agents know how late
-robots are by their profile. Writes robot-plays.csv, a row for each song and robot, from which it
-goes on, and robots.csv, with means and 95 % intervals of songs and robots.
+robots are by their profile. "causes" is the generalist without what differs, one cause after the
+other, which tells what loses most. Writes robot-plays.csv, a row for each song and robot, from
+which it goes on, and robots.csv, with means and 95 % intervals of songs and robots.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from cadenza.evaluation.statistics import bootstrap_interval
 from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.robots import PROFILES, Profile
 from cadenza.tasks.unknown_robot import UnknownRobotEnv
@@ -49,12 +50,31 @@ DIRECT: Mapping[str, Callable[[], Agent]] = {
     "practised planner": lambda: Planner(PlannerConfig(effort=1.0)),
     "generalist": Generalist,
 }
+WITHOUT = "causes"
 PRACTICE, FIRST, AFTER = "practice", "first of ten plays", "after ten plays"
+CAUSES: Mapping[str, tuple[str, ...]] = {
+    "delays": ("latency", "observation_latency"),
+    "limits of speed": ("joint_speed", "slide_speed"),
+    "backlash": ("joint_backlash", "slide_backlash", "joint_dead_band", "slide_dead_band"),
+    "noise": (
+        *("joint_noise", "slide_noise", "key_noise", "touch_noise", "drift"),
+        *("joint_bias", "slide_bias", "touch_bias", "joint_control_noise", "slide_control_noise"),
+    ),
+    "errors of place": ("keyboard_offset", "keyboard_tilt", "mount_offset", "mount_tilt"),
+    "servo gains": ("servo_gain", "joint_damping", "force_limit"),
+    "masses and friction": ("mass", "friction", "joint_friction"),
+    "other keys": ("key_spring", "key_travel", "key_sounding"),
+    "pushes": ("gravity_tilt", "push"),
+}
+"""What differs of robots, and its fields."""
 
 
-def directly(score: Score, agent: str, profile: Profile, robot: int) -> Mapping[str, Any]:
-    """How an agent plays a robot at once, with feedback."""
-    config = TaskConfig(randomization=replace(PROFILES[profile], robot=robot))
+def directly(
+    score: Score, agent: str, profile: Profile, robot: int, without: str | None = None
+) -> Mapping[str, Any]:
+    """How an agent plays a robot at once, with feedback, without one cause of differences."""
+    same = {name: getattr(DomainRandomization, name) for name in CAUSES.get(without or "", ())}
+    config = TaskConfig(randomization=replace(PROFILES[profile], robot=robot, **same))
     return play_episode(PianoTask([score], config), DIRECT[agent](), 0).metrics
 
 
@@ -74,7 +94,8 @@ def practised(
 
 def summary(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Means with intervals, of robots that have played all songs."""
-    rows, ways = [], [*(f"{agent}, directly" for agent in DIRECT), FIRST, AFTER]
+    ways = [f"{agent}, directly" for agent in DIRECT]
+    rows, ways = [], [*ways, *(f"generalist, without {cause}" for cause in CAUSES), FIRST, AFTER]
     for profile, how in product(PROFILES, ways):
         own = [row for row in plays if (row["profile"], row["how"]) == (profile, how)]
         songs = list(dict.fromkeys(row["song"] for row in own))
@@ -99,7 +120,7 @@ def main() -> None:
     parser.add_argument("songs", nargs="*", default=SONGS, help="bundled pieces or MIDI files")
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=["realistic", "harsh"])
     parser.add_argument("--robots", nargs="+", type=int, default=range(10), help="their seeds")
-    ways = [*DIRECT, PRACTICE]
+    ways = [*DIRECT, WITHOUT, PRACTICE]
     parser.add_argument("--ways", nargs="+", choices=ways, default=ways, help="of playing")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/results"))
@@ -116,6 +137,9 @@ def main() -> None:
         for agent in [way for way in DIRECT if way in options.ways]:
             if (profile, song, str(robot), how := f"{agent}, directly") not in done:
                 measured[how] = directly(scores[song], agent, profile, robot)
+        for cause in CAUSES if WITHOUT in options.ways else ():
+            if (profile, song, str(robot), how := f"generalist, without {cause}") not in done:
+                measured[how] = directly(scores[song], "generalist", profile, robot, cause)
         if PRACTICE in options.ways and (profile, song, str(robot), AFTER) not in done:
             measured |= practised(scores[song], nominal(song), profile, robot)
         for how, metrics in measured.items():

@@ -179,10 +179,10 @@ def test_actions_arrive_when_they_do_on_the_cpu(scene, latency):
 @pytest.mark.parametrize(
     "on",
     [
-        {"sweep_time": (0.1, 2.0)},
-        {"dead_band": (0.0, 0.3)},
-        {"backlash": (0.0, 0.2)},
-        {"sweep_time": (0.0, 1.0), "dead_band": (0.1, 0.1), "backlash": (0.1, 0.2)},
+        {"joint_speed": (0.5, 10.0), "slide_speed": (0.5, 10.0)},
+        {"joint_dead_band": (0.0, 0.3), "slide_dead_band": (0.0, 0.1)},
+        {"joint_backlash": (0.0, 0.2), "slide_backlash": (0.0, 0.1)},
+        {"joint_speed": (0.0, 5.0), "joint_dead_band": (0.1, 0.1), "joint_backlash": (0.1, 0.2)},
         {"gravity_tilt": 0.2},
     ],
     ids=str,
@@ -277,7 +277,11 @@ def test_says_what_makes_no_sense():
 def test_randomized_worlds_move_as_on_the_cpu(scene):
     """Each as the environment of the CPU that begins with the same seed, and not as another one."""
     pytest.importorskip("mujoco_warp")
-    servos: Any = {"sweep_time": (0.2, 1.0), "dead_band": (0.0, 0.01), "backlash": (0.0, 0.01)}
+    servos: Any = {
+        "joint_speed": (1.0, 5.0),
+        "joint_dead_band": (0.0, 0.01),
+        "slide_backlash": (0.0, 0.001),
+    }
     senses: Any = {"observation_latency": (0.0, 0.06), "joint_bias": 0.01}
     ranges = DomainRandomization(
         **FACTORS,

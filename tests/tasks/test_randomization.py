@@ -39,10 +39,11 @@ EACH: dict[str, Any] = {
     "key_sounding": (0.8, 0.95),
     "latency": (0.0, 0.12),
     "observation_latency": (0.0, 0.12),
-    "sweep_time": (0.1, 0.3),
-    "dead_band": (0.0, 0.1),
-    "backlash": (0.0, 0.1),
+    **dict.fromkeys(("joint_speed", "slide_speed"), (5.0, 10.0)),
+    **dict.fromkeys(("joint_dead_band", "joint_backlash"), (0.0, 0.1)),
+    **dict.fromkeys(("slide_dead_band", "slide_backlash"), (0.0, 0.01)),
     **dict.fromkeys(("joint_noise", "slide_noise", "key_noise", "control_noise"), 0.02),
+    **{"joint_control_noise": 0.02, "slide_control_noise": 0.002},
     **dict.fromkeys(("keyboard_offset", "keyboard_tilt", "mount_offset", "mount_tilt"), 0.01),
     **dict.fromkeys(("joint_bias", "slide_bias", "gravity_tilt"), 0.02),
     **{"push": 30.0, "touch_noise": 0.1, "touch_bias": 0.1, "drift": 0.5},
@@ -59,7 +60,7 @@ SENSED = {
 # These show only where something is touched, sounds or is pushed; they have tests of their own.
 QUIET = {"key_sounding", "touch_noise", "touch_bias", "drift", "push", *POSE_FIELDS}
 DRAWN = {
-    *(*SCALED_FIELDS, *POSE_FIELDS, "key_sounding", "gravity_tilt", "sweep_time", "dead_band"),
+    *(*SCALED_FIELDS, *POSE_FIELDS, "key_sounding", "gravity_tilt", "speed", "dead_band"),
     *("backlash", "latency", "observation_latency", "bias", "seed"),
 }
 
@@ -438,25 +439,45 @@ def test_keys_sound_from_the_depth_and_stop_at_the_end_that_infos_tell(hands):
 
 def test_setpoints_have_limits_of_speed_dead_bands_and_backlash(scene, monkeypatch):
     stepped = watched(monkeypatch, MujocoSimulation, "step")
-    low, high = scene.action_low, scene.action_high
-    half = (high - low)[:-1] / 2
+    names = [name.split("/")[-1] for name in scene.actuator_names]
+    own = [next(i for i, n in enumerate(names) if n.endswith(e)) for e in ("FFJ3", "forearm_tx")]
+    middle = ((scene.action_low + scene.action_high) / 2)[None]
 
-    def sent(ctrls: Any, **options: Any) -> NDArray[Any]:
-        """(steps, A) where servos are sent, from the middle of their ranges, in half ranges."""
+    def sent(offsets: list[float], **options: Any) -> NDArray[Any]:
+        """(steps, 2) where a joint and a slide are sent, from the middle of their ranges."""
         stepped.clear()
         config = TaskConfig(randomization=DomainRandomization(**options))
         task = begun(PianoTask([TUNE], config, scene))
-        for ctrl in [0.0] * 8 + ctrls:
-            task.step(((low + high) / 2 + ctrl * (high - low) / 2)[None])
+        for offset in [0.0] * 8 + offsets:
+            ctrl = middle.copy()
+            ctrl[0, own] += offset
+            task.step(ctrl)
         arrived = [ctrl[0] for (_, ctrl, *_), _ in stepped[8:]]
-        return (np.array(arrived) - (low + high)[:-1] / 2) / half
+        return np.array(arrived)[:, own] - middle[0, own]
 
-    steps = sent([1.0] * 4, sweep_time=(0.25, 0.25))
-    assert_allclose(steps[:, 3], [0.4, 0.8, 1.0, 1.0])
-    steps = sent([0.04, 0.06, 0.1], dead_band=(0.05, 0.05))
-    assert_allclose(steps[:, 3], [0.0, 0.06, 0.06], atol=1e-12)
-    steps = sent([0.5, 0.45, 0.0], backlash=(0.2, 0.2))
-    assert_allclose(np.diff(steps[:, 3]), [0.0, -0.3], atol=1e-12)
+    joint, slide = sent([0.4] * 4, joint_speed=(3.0, 3.0), slide_speed=(5.0, 5.0)).T
+    assert_allclose(joint, [0.15, 0.3, 0.4, 0.4])
+    assert_allclose(slide, [0.25, 0.4, 0.4, 0.4])
+    ctrls = [0.04, 0.06, 0.1]
+    joint, slide = sent(ctrls, joint_dead_band=(0.05, 0.05), slide_dead_band=(0.03, 0.03)).T
+    assert_allclose(joint, [0.0, 0.06, 0.06], atol=1e-12)
+    assert_allclose(slide, [0.04, 0.04, 0.1], atol=1e-12)
+    joint, slide = sent([0.4, 0.35, 0.0], joint_backlash=(0.2, 0.2)).T
+    assert_allclose(np.diff(joint), [0.0, -0.2], atol=1e-12)
+    assert_allclose(np.diff(slide), [-0.05, -0.35], atol=1e-12)
+
+
+def test_noise_on_controls_of_joints_and_slides(scene, monkeypatch):
+    stepped = watched(monkeypatch, MujocoSimulation, "step")
+    noise = DomainRandomization(joint_control_noise=0.02, slide_control_noise=0.002)
+    task = begun(PianoTask([TUNE], TaskConfig(randomization=noise), scene))
+    middle = ((scene.action_low + scene.action_high) / 2)[None]
+    for _ in range(100):
+        task.step(middle)
+    errors = np.array([ctrl[0] for (_, ctrl, *_), _ in stepped]) - middle[0, :-1]
+    for part, std in (("forearm_t", 0.002), ("J3", 0.02), ("J0", 0.04)):  # J0 turns two joints
+        own = [part in name for name in scene.actuator_names]
+        assert_allclose(errors[:, own].std(), std, rtol=0.15)
 
 
 def test_gravity_off_its_direction_and_pushes_move_hands(scene):

@@ -64,7 +64,15 @@ def test_a_robot_stays_what_it_is_and_its_noise_does_not():
     assert (other.task.drawn["mass"] != drawn[0]["mass"]).mean() > 0.9  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("option", [{"privileged": True}, {"randomization": {"mass": (1, 2)}}])
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"privileged": True},
+        {"randomization": {"mass": (1, 2)}},
+        {"reward_terms": {"mine": lambda outcome: outcome.state.hand_qpos[:, 0]}},
+        {"wrong_press_termination": True},
+    ],
+)
 def test_options_that_would_show_or_change_the_robot_are_refused(option):
     with pytest.raises(CadenzaError, match="an unknown robot has no such option"):
         gym.make(ID, song=TUNE, **option)

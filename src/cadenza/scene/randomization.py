@@ -139,9 +139,3 @@ def with_servo_damping(scene: Scene, factors: NDArray[np.float64]) -> Scene:
     model = copy(scene.model)
     scale(model, scene, {"joint_damping": of_dofs}, mujoco.MjData(model))
     return replace(scene, model=model)
-
-
-def sliding(scene: Scene) -> NDArray[np.bool_]:
-    """(J,) whether each joint of the hands is a slide, not a hinge."""
-    kinds = scene.model.jnt_type[scene.hand_qpos]  # each joint has one coordinate
-    return np.asarray(kinds == mujoco.mjtJoint.mjJNT_SLIDE)

@@ -39,6 +39,7 @@ class Servos:
     inertia: Array
     low: Array  # (A,) lower bounds of the coordinates, and of their controls [m, rad]
     high: Array  # (A,) upper bounds [m, rad]
+    slides: NDArray[np.bool_]  # (A,) whether each moves a slide [m], not a hinge [rad]
     uses: tuple[Servo, ...]  # the servos as planners and policies use them
 
     @property
@@ -72,6 +73,10 @@ class Servos:
         """(A,) index of the finger that each moves, 0 for the thumb, -1 for the whole hand."""
         return np.array([-1 if use.finger is None else use.finger for use in self.uses], np.intp)
 
+    def of_each(self, joint: float, slide: float) -> Array:
+        """(A,) an angle of a hinge or a length of a slide, in the coordinates of the servos."""
+        return np.where(self.slides, slide, joint) / np.abs(self.joints).max(axis=1)
+
     def state(self, hand_qpos: Array, hand_qvel: Array) -> Array:
         """(..., A, 2) position and speed of each servo at joints (..., J)."""
         return np.stack([hand_qpos @ self.of_joints, hand_qvel @ self.of_joints], axis=-1)
@@ -94,6 +99,12 @@ class Servos:
 def clip(values: NDArray[Any], low: ArrayLike, high: ArrayLike) -> NDArray[Any]:
     """`values` clipped as by `np.clip`, in half the time for the few of a short plan."""
     return np.minimum(np.maximum(values, low), high)
+
+
+def sliding(scene: Scene) -> NDArray[np.bool_]:
+    """(J,) whether each joint of the hands is a slide, not a hinge."""
+    kinds = scene.model.jnt_type[scene.hand_qpos]  # each joint has one coordinate
+    return np.asarray(kinds == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 @lru_cache(maxsize=8)  # for short plans
@@ -124,6 +135,7 @@ def servos_of(scene: Scene) -> Servos:
         inertia=joints**2 @ _inertia(scene)[dofs],
         low=model.actuator_ctrlrange[:, 0].copy(),
         high=model.actuator_ctrlrange[:, 1].copy(),
+        slides=joints @ sliding(scene) > 0,
         uses=tuple(map(scene.hand.servo, names)),
     )
 

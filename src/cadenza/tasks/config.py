@@ -82,14 +82,18 @@ class DomainRandomization:
     """Gravity is off what is compensated by up to this angle about both level axes [rad]."""
     push: float = 0.0
     """Greatest force of pushes on a palm [N], one a second on average, each for a control step."""
-    sweep_time: Range = (0.0, 0.0)
-    """Range of the least time in which each servo's setpoint crosses its range [s]."""
-    dead_band: Range = (0.0, 0.0)
-    """Range of the change below which each servo ignores a control, as a fraction of half the
-    control range."""
-    backlash: Range = (0.0, 0.0)
-    """Range of the play between each servo and what it moves, as a fraction of half the control
-    range."""
+    joint_speed: Range = (0.0, 0.0)
+    """Range of the speed at which each servo can turn its joints, 0 for any [rad/s]."""
+    slide_speed: Range = (0.0, 0.0)
+    """Range of the speed at which each servo can move its slide, 0 for any [m/s]."""
+    joint_dead_band: Range = (0.0, 0.0)
+    """Range of the change below which each servo of a joint ignores a control [rad]."""
+    slide_dead_band: Range = (0.0, 0.0)
+    """Range of the change below which each servo of a slide ignores a control [m]."""
+    joint_backlash: Range = (0.0, 0.0)
+    """Range of the play between each servo and its joint [rad]."""
+    slide_backlash: Range = (0.0, 0.0)
+    """Range of the play between each servo and its slide [m]."""
     latency: Range = (0.0, 0.0)
     """Range of the time that actions take to arrive [s], rounded to physics steps."""
     observation_latency: Range = (0.0, 0.0)
@@ -113,6 +117,10 @@ class DomainRandomization:
     control_noise: float = 0.0
     """Standard deviation of the normal noise on controls, drawn in each step, as a fraction of half
     the control range. Controls stay in their range."""
+    joint_control_noise: float = 0.0
+    """How much greater it is for joints [rad]."""
+    slide_control_noise: float = 0.0
+    """How much greater it is for slides [m]."""
     seed: int | None = None
     """Seed of all that is drawn, the same in every episode. By default each reset draws a seed with
     the random numbers of its environment."""

@@ -114,7 +114,7 @@ class DeviceRandomization:
         """
         of_control, of_push = jax.random.split(key)
         ranges, others = self._ranges, dict[str, Any]()
-        if ranges.config.control_noise:
+        if ranges.control_noise.any():
             noise = ranges.control_noise * jax.random.normal(of_control, ctrl[:, :-1].shape)
             noisy = (ctrl[:, :-1] + noise).clip(ranges.low, ranges.high)
             ctrl = jnp.concatenate([noisy, ctrl[:, -1:]], axis=1)

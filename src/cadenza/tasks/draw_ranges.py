@@ -9,19 +9,23 @@ from numpy.typing import NDArray
 
 from cadenza.configs import MAX_COUNT, check_ranges
 from cadenza.errors import CadenzaError
-from cadenza.scene.randomization import KEY_SOUNDING, POSE_FIELDS, SCALED_FIELDS, shapes, sliding
+from cadenza.scene.randomization import KEY_SOUNDING, POSE_FIELDS, SCALED_FIELDS, shapes
 from cadenza.scene.scene import Scene
-from cadenza.scene.servos import servos_of
+from cadenza.scene.servos import servos_of, sliding
 from cadenza.tasks.config import DomainRandomization
 
 Array = NDArray[np.float64]
 
+_KINDS = "joint", "slide"
 _MIN_FACTOR = {"mass": 0.01, "key_travel": 0.5, KEY_SOUNDING: 0.1}  # 0 for all others
 _MAX_FACTOR = dict.fromkeys(SCALED_FIELDS, 100.0) | {"key_travel": 2.0, KEY_SOUNDING: 1.0}
 LATENCY, OBSERVATION_LATENCY, SEED = "latency", "observation_latency", "seed"
 BIAS, GRAVITY_TILT = "bias", "gravity_tilt"
-SERVO_RANGES = {"sweep_time": 10.0, "dead_band": 1.0, "backlash": 1.0}  # [s] and half ranges
-_MAX_TIME = {LATENCY: 1.0, OBSERVATION_LATENCY: 1.0, **SERVO_RANGES}
+SERVO_RANGES = "speed", "dead_band", "backlash"
+"""What is drawn for servos, from ranges for joints and for slides, such as `joint_speed`."""
+_MAX_OF_SERVOS = dict(zip(SERVO_RANGES, (100.0, 1.0, 1.0), strict=True))
+_MAX = {f"{kind}_{name}": high for name, high in _MAX_OF_SERVOS.items() for kind in _KINDS}
+_MAX |= {LATENCY: 1.0, OBSERVATION_LATENCY: 1.0}  # [s]
 _MAX_NUMBER = {
     "joint_noise": math.pi,  # [rad], half a turn
     "joint_bias": math.pi,
@@ -32,6 +36,8 @@ _MAX_NUMBER = {
     "touch_bias": 100.0,
     "drift": 100.0,
     "control_noise": 1.0,  # half the range
+    "joint_control_noise": math.pi,
+    "slide_control_noise": 1.0,
     "keyboard_offset": 0.1,  # [m]
     "keyboard_tilt": 0.3,  # [rad]
     "mount_offset": 0.1,
@@ -81,8 +87,9 @@ class DrawRanges:
         self.physics_timestep = scene.model.opt.timestep
         self.substeps = round(control_timestep / self.physics_timestep)
         self.low, self.high = scene.action_low[:-1], scene.action_high[:-1]
-        self.control_noise = config.control_noise * (self.high - self.low) / 2
         of_scene, slides = shapes(scene), sliding(scene)
+        self.control_noise = config.control_noise * (self.high - self.low) / 2
+        self.control_noise += self._of_each(config.joint_control_noise, config.slide_control_noise)
         of_task = {**dict.fromkeys(SERVO_RANGES, self.low.shape), GRAVITY_TILT: (2,), LATENCY: ()}
         counts = scene.keyboard.num_keys, scene.fingers.count
         self.observation_noise, self.bias = (
@@ -104,8 +111,15 @@ class DrawRanges:
         self.num_sent = self.steps_of(config.latency[1]) // self.substeps + 2
 
     def _is_on(self, name: str) -> bool:
-        """Whether a field of the configuration is not as by default."""
-        return bool(getattr(self.config, name) != getattr(DomainRandomization, name))
+        """Whether a field of the configuration, or one of those for servos, is not the default."""
+        names = [f"{kind}_{name}" for kind in _KINDS] if name in SERVO_RANGES else [name]
+        return any(getattr(self.config, n) != getattr(DomainRandomization, n) for n in names)
+
+    def _of_each(self, joint: float, slide: float) -> Array:
+        """(A,) the value for joints or that for slides, as each servo moves one or the other."""
+        if not self.scene.sides:  # keys, which turn
+            return np.full(self.low.shape, joint)
+        return servos_of(self.scene).of_each(joint, slide)
 
     def generator(self, seed: int, name: str) -> np.random.Generator:
         """The generator of a field, or of noise, in an episode with this seed."""
@@ -128,6 +142,9 @@ class DrawRanges:
         rng, shape = self.generator(seed, name), self.shapes[name]
         if name == BIAS:
             return self.bias * rng.standard_normal(shape)
+        if name in SERVO_RANGES:
+            joint, slide = (getattr(self.config, f"{kind}_{name}") for kind in _KINDS)
+            return rng.uniform(*map(self._of_each, joint, slide))
         field = getattr(self.config, name)
         low, high = field if isinstance(field, tuple) else (-field, field)
         drawn = rng.uniform(low, high, shape)
@@ -160,24 +177,23 @@ def moved_setpoints(ranges: DrawRanges, setpoint: Any, ctrl: Any, drawn: Mapping
 
     Returns (N, 2, A).
     """
-    xp, half = setpoint.__array_namespace__(), (ranges.high - ranges.low) / 2
+    xp = setpoint.__array_namespace__()
     motor, load = setpoint[:, 0], setpoint[:, 1]
     change = ctrl - motor
     if "dead_band" in drawn:
-        change = xp.where(abs(change) < drawn["dead_band"] * half, 0.0, change)
-    if "sweep_time" in drawn:  # 0 is no limit
-        time = drawn["sweep_time"]
-        limit = 2 * half * ranges.control_timestep / xp.where(time > 0, time, 1.0)
-        limit = xp.where(time > 0, limit, xp.inf)
+        change = xp.where(abs(change) < drawn["dead_band"], 0.0, change)
+    if "speed" in drawn:  # 0 is no limit
+        speed = drawn["speed"]
+        limit = xp.where(speed > 0, speed * ranges.control_timestep, xp.inf)
         change = change.clip(-limit, limit)
     motor = motor + change
-    play = drawn.get("backlash", 0.0) * half / 2
+    play = drawn.get("backlash", 0.0) / 2
     return xp.stack([motor, load.clip(motor - play, motor + play)], axis=1)
 
 
 def _check(config: DomainRandomization) -> None:
     limits = {n: (_MIN_FACTOR.get(n, 0.0), high) for n, high in _MAX_FACTOR.items()}
-    limits |= {name: (0.0, high) for name, high in _MAX_TIME.items()}
+    limits |= {name: (0.0, high) for name, high in _MAX.items()}
     for name, (minimum, maximum) in limits.items():
         low, high = getattr(config, name)
         if not minimum <= low <= high <= maximum:

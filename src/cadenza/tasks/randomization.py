@@ -136,7 +136,7 @@ class Randomization:
         """
         env_ids = None if isinstance(moving, slice) else moving.tolist()
         config, path = self._ranges.config, self._senses.path
-        if config.control_noise:
+        if self._ranges.control_noise.any():
             ctrl = self._with_noise(ctrl, moving)
         if self._moves_setpoints:
             ctrl = self._moved(ctrl, moving)

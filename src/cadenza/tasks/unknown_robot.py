@@ -12,7 +12,10 @@ from cadenza.tasks.env import Observation, PianoEnv, Song
 from cadenza.tasks.robots import PROFILES, Profile
 
 PLAYS = 10  # how often a song may be played before the play that is scored
-_OWN = "randomization", "privileged", "task", "pixels"
+_OWN = (
+    *("randomization", "privileged", "task", "pixels"),
+    *("reward_terms", "wrong_press_termination"),  # they see true joints and keys
+)
 
 
 class UnknownRobotEnv(PianoEnv):
@@ -35,12 +38,13 @@ class UnknownRobotEnv(PianoEnv):
 
         Raises CadenzaError if an option would show or change the robot, or makes no sense.
         """
-        if known := [name for name in _OWN if name in options]:
+        if known := [name for name in _OWN if options.get(name) not in (None, False)]:
             raise CadenzaError(f"{known[0]}: an unknown robot has no such option; leave it out")
         seed = whole_number(robot, "robot", 0, MAX_COUNT)
         if profile not in PROFILES:
             raise CadenzaError(f"profile {profile!r}: choose from {', '.join(PROFILES)}")
-        super().__init__(song, randomization=replace(PROFILES[profile], robot=seed), **options)
+        others = {name: value for name, value in options.items() if name not in _OWN}
+        super().__init__(song, randomization=replace(PROFILES[profile], robot=seed), **others)
         self._play = 0
 
     def reset(

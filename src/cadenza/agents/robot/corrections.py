@@ -24,7 +24,7 @@ from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 
 # Corrections by one play [m].
-_DEEPER = 0.0015  # depth for a key that was lost
+_DEEPER = 0.003  # depth for a key that was lost
 _BESIDE = 0.0015  # shift of a finger that brushes the next key
 _RAISE = 0.003  # height of an idle finger that sounds a key
 _LIFT = 0.004  # maximum at the end of a press, to either side

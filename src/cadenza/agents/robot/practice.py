@@ -22,7 +22,6 @@ from cadenza.agents.robot.protocol import Act, Play, Robot, in_turn, notes_heard
 from cadenza.agents.robot.servo_response import Response, ServoResponse, identified, usual_response
 from cadenza.episode import Episode
 from cadenza.music.score import Note
-from cadenza.scene.randomization import sliding
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import DomainRandomization
 from cadenza.tasks.unknown_robot import PLAYS
@@ -96,8 +95,7 @@ class RobotPractice:
         ones = np.ones(planned_controls.shape[1])
         self._nominal = self._servo_response(Response(0.0, ones, np.inf * ones))
         self._moved = self._nominal.to(planned_controls)
-        slides = sliding(scene) @ self._servos.of_joints > 0
-        self._cost = np.where(slides, _COST_OF_SLIDES, _COST)
+        self._cost = np.where(self._servos.slides, _COST_OF_SLIDES, _COST)
         self.response = response
         self.sensors_late = sum(ranges.observation_latency) / 2
         self._robot = self._servo_response(self.response)

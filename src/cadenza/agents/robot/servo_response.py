@@ -40,9 +40,9 @@ class Response(NamedTuple):
 
 def usual_response(servos: Servos, dt: float, ranges: DomainRandomization) -> Response:
     """Response in the middle of the ranges from which robots are drawn."""
-    ones, sweep = np.ones(len(servos.low)), sum(ranges.sweep_time) / 2
-    fastest = (servos.high - servos.low) * dt / sweep if sweep else np.inf * ones
-    return Response(sum(ranges.latency) / 2, ones, fastest)
+    speed = servos.of_each(sum(ranges.joint_speed), sum(ranges.slide_speed)) / 2
+    fastest = np.where(speed > 0, speed * dt, np.inf)
+    return Response(sum(ranges.latency) / 2, np.ones_like(speed), fastest)
 
 
 class ServoResponse:
