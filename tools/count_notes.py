@@ -21,19 +21,18 @@ from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.metrics import note_errors
 
-BRUSHED = 0.06  # [s] than which the note of a key that a finger brushes in passing is shorter
 IN_THE_MIDDLE = 0.003  # [m] from the middle of a key
 ROWS = {
-    "extra": "extra",
-    "extra.neighbour": "  a key beside a right one",
-    "extra.brushed": f"    shorter than {1000 * BRUSHED:.0f} ms",
-    "extra.off_time": "  more than 50 ms late or early",
-    "extra.again": "  the own key struck again",
-    "extra.other": "  others",
-    "missed": "missed",
-    "missed.silent": "  key never sounds",
-    "missed.off_time": "  late or early",
-    "missed.held": "  key still down from before",
+    "extra_notes": "extra",
+    "extra_neighbour": "  a key beside a right one",
+    "extra_brushed": "    shorter than 60 ms",
+    "extra_off_time": "  more than 50 ms late or early",
+    "extra_again": "  the own key struck again",
+    "extra_other": "  others",
+    "missed_notes": "missed",
+    "missed_silent": "  key never sounds",
+    "missed_off_time": "  late or early",
+    "missed_held": "  key still down from before",
 }
 
 
@@ -47,7 +46,8 @@ def main() -> None:
         of_folder, across = _counted(folder)
         counts += of_folder
         offsets.append(across)
-        print(f"{_rate(of_folder, 'extra')} extra {_rate(of_folder, 'missed')} missed  {folder}")
+        extra, missed = (_rate(of_folder, f"{name}_notes") for name in ("extra", "missed"))
+        print(f"{extra} extra {missed} missed  {folder}")
     print(f"\n{counts['written']} written notes, {counts['right']} played in time; per 100:\n")
     for kind, title in ROWS.items():
         print(f"{title:32}{counts[kind]:6}{_rate(counts, kind)}")
@@ -74,19 +74,11 @@ def _played(folder: Path) -> list[Path]:
 def _counted(folder: Path) -> tuple[Counter[str], np.ndarray]:
     """The numbers of notes by kind, and how far from the middle keys are struck [m]."""
     written, played = (read_midi(folder / f"{name}.mid").notes for name in ("wanted", "played"))
-    pairs, extra, missed = note_errors(written, played)
-    counts = Counter(
-        written=len(written),
-        right=len(pairs),
-        extra=len(played) - len(pairs),
-        missed=len(written) - len(pairs),
-    )
-    for name, kinds in (("extra", extra), ("missed", missed)):
-        counts.update({f"{name}.{kind}": len(notes) for kind, notes in kinds._asdict().items()})
-    counts["extra.brushed"] = sum(note.end - note.start < BRUSHED for note in extra.neighbour)
+    errors = note_errors(written, played)
+    counts = Counter(written=len(written), right=len(errors.pairs), **errors.counts)
     if not (recording := folder / "episode.npz").exists():
         return counts, np.zeros(0)
-    return counts, strike_offsets(load_episode(recording), (note for _, note in pairs))
+    return counts, strike_offsets(load_episode(recording), (note for _, note in errors.pairs))
 
 
 def _rate(counts: Counter[str], kind: str) -> str:

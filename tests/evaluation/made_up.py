@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cadenza.evaluation.jobs import key_of
+from cadenza.evaluation.summary import WRONG_NOTES
 
 AGENTS = ("planner", "predictive-sampling", "ilqg", "train:fast", "stitched")
 TITLES = ("Für Elise", "Nocturne", "Invention", "Sonata in C, first movement", "Étude", "Minuet")
@@ -89,6 +90,7 @@ def _metrics(f1: float, seconds: float) -> dict[str, Any]:
         "note_onset_offset_f1": f1**3,
         "extra_notes_per_100": 100 * (1 - f1),
         "missed_notes_per_100": 60 * (1 - f1),
+        **{f"{kind}_per_100": 20 * (1 - f1) for kind in WRONG_NOTES},
         "timing_error": 0.01,
         "onset_error_median": 0.004,
         "velocity_error": 8 * (1 - f1),

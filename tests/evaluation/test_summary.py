@@ -10,7 +10,14 @@ import pytest
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.results import read_results
-from cadenza.evaluation.summary import METRICS, SHARES, BenchSummary, summarize
+from cadenza.evaluation.summary import (
+    METRICS,
+    SHARES,
+    WRONG_NOTES,
+    BenchSummary,
+    summarize,
+    wrong_notes,
+)
 from cadenza.evaluation.tables import write_tables
 from evaluation.made_up import result, write_bench, write_result
 
@@ -91,6 +98,16 @@ def test_onset_errors_are_told_in_milliseconds(tmp_path):
     (run,) = summary_of(tmp_path).runs
     assert run.metrics["onset_error"] == 12.5
     assert run.metrics["velocity_error"] == 3.5
+
+
+def test_kinds_of_wrong_notes_are_means_of_what_is_known(tmp_path):
+    for seed, silent in enumerate((2.0, 5.0, None)):
+        kinds = {f"{kind}_per_100": 1.0 for kind in WRONG_NOTES} | {"missed_silent_per_100": silent}
+        write_result(tmp_path, f"a{seed}", result("a", "planner", seed, {"f1": 0.5} | kinds))
+    (values,) = wrong_notes(summary_of(tmp_path)).values()
+    assert dict(zip(WRONG_NOTES, values, strict=True)) == {
+        kind: "3.5" if kind == "missed_silent" else "1.0" for kind in WRONG_NOTES
+    }
 
 
 def test_times_and_energy_are_told_for_a_second_of_music(tmp_path):

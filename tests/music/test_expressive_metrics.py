@@ -101,6 +101,18 @@ def test_notes_are_extra_or_missed_per_hundred_that_are_written():
     assert (metrics["extra_notes_per_100"], metrics["missed_notes_per_100"]) == (50, 75)
 
 
+def test_kinds_of_wrong_notes_per_hundred_that_are_written():
+    played = score((1, 2, 60), (1.1, 2, 64), (2, 2.05, 61), (3, 3.2, 64), (3.4, 4, 64), (5, 6, 90))
+    metrics = expressive_metrics(played, WRITTEN)
+    kinds = {name: value for name, value in metrics.items() if name.endswith("_per_100")}
+    assert {name: value for name, value in kinds.items() if value} == {
+        **{"extra_notes_per_100": 100, "missed_notes_per_100": 50},
+        **{"extra_off_time_per_100": 25, "extra_neighbour_per_100": 25},
+        **{"extra_brushed_per_100": 25, "extra_again_per_100": 25, "extra_other_per_100": 25},
+        **{"missed_off_time_per_100": 25, "missed_silent_per_100": 25},
+    }
+
+
 @pytest.mark.parametrize("played", [Score(()), score((1, 2, 61), (2.3, 3, 62))])
 def test_all_missed(played):
     metrics = expressive_metrics(played, WRITTEN)

@@ -73,6 +73,17 @@ METRICS = SHARES | {
 }
 """Metrics of a run; NaN stands for an unknown value."""
 
+WRONG_NOTES = {
+    "extra_neighbour": "A key beside a right one",
+    "extra_brushed": "of these, shorter than 60 ms",
+    "extra_again": "Own key struck again",
+    "extra_off_time": "Late or early",
+    "extra_other": "Others",
+    "missed_silent": "Missed: key does not sound",
+    "missed_held": "Missed: key still down",
+}
+"""Kinds of extra and missed notes; those that are late or early are both."""
+
 COMPARED = ("note_onset_f1", "f1")  # metrics in which agents are compared piece by piece
 HEADLINES = ("note_onset_f1", "f1", "pooled_f1", "wall_per_music")  # metrics that are printed
 
@@ -214,6 +225,17 @@ def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
         "cpu_per_music": _number(timing.cpu_seconds) / music,
         "power": _number(metrics.get("energy")) / music,
     }
+
+
+def wrong_notes(summary: BenchSummary) -> dict[str, list[str]]:
+    """Of each agent, its `WRONG_NOTES` for every hundred written, means over its runs, as text."""
+    rows = dict[str, list[str]]()
+    for agent in summary.agents:
+        own = [run.result.metrics for run in summary.runs if run.agent == agent]
+        each = np.array([[_number(m.get(f"{kind}_per_100")) for kind in WRONG_NOTES] for m in own])
+        known = each[~np.isnan(each).any(axis=1)]
+        rows[agent] = [f"{values.mean():.1f}" if len(values) else "–" for values in known.T]
+    return rows
 
 
 def _number(value: Any) -> float:

@@ -15,10 +15,12 @@ from cadenza.evaluation.results import PAGE
 from cadenza.evaluation.summary import (
     COMPARED,
     METRICS,
+    WRONG_NOTES,
     BenchSummary,
     Estimate,
     interval_text,
     metric_text,
+    wrong_notes,
 )
 from cadenza.report.html_pages import render, write_page
 
@@ -64,6 +66,8 @@ def summary_page(
         about=_ABOUT if several else (),
         rows=_rows(summary, folder),
         metrics=METRICS,
+        kinds=WRONG_NOTES,
+        wrong_notes=wrong_notes(summary),
         agents=summary.agents,
         compared=COMPARED,
         interval_text=interval_text,

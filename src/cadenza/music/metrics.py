@@ -216,10 +216,12 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
     """
     close, off_time = paired_notes(written.notes, played.notes)
     pairs = close + off_time
+    errors = note_errors(written.notes, played.notes)
     return {
         **_timing(sorted(pairs, key=lambda pair: pair[0].start)),
         **_loudness(pairs, written),
         **_note_f1(close, written, played),
+        **{f"{name}_per_100": _per_100(number, written) for name, number in errors.counts.items()},
     }
 
 
@@ -292,16 +294,15 @@ def _note_f1(close: Sequence[Pair], written: Score, played: Score) -> dict[str, 
     def f1(hits: int) -> float:
         return 2 * hits / notes if notes else 1.0
 
-    def per_100(notes: int) -> float | None:
-        return 100 * notes / len(written.notes) if written.notes else None
-
     return {
         "note_onset_f1": f1(len(close)),
-        "extra_notes_per_100": per_100(len(played.notes) - len(close)),
-        "missed_notes_per_100": per_100(len(written.notes) - len(close)),
         "note_onset_velocity_f1": f1(_equally_loud(reference, estimate, written)),
         "onset_f1_times_velocity_accuracy": f1(len(close)) * accuracy,
     }
+
+
+def _per_100(number: int, written: Score) -> float | None:
+    return 100 * number / len(written.notes) if written.notes else None
 
 
 def _equally_loud(
@@ -329,6 +330,7 @@ def _percentile(values: NDArray[np.float64], percent: float) -> float | None:
 
 
 _BESIDE = 2  # semitones from a key up to which others lie beside it
+_BRUSHED = 0.06  # [s] than which the note of a key that a finger brushes in passing is shorter
 # Of a written note, how much earlier or later than it another key may sound by mistake for it [s].
 _BEFORE, _AFTER = 0.15, 0.1
 
@@ -357,6 +359,19 @@ class NoteErrors(NamedTuple):
     pairs: list[Pair]  # notes that begin within 50 ms of each other, the written one first
     extra: ExtraNotes
     missed: MissedNotes
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The numbers of extra and of missed notes, then by kind, such as `extra_neighbour`.
+
+        `extra_brushed` are those of the neighbours that are shorter than 60 ms.
+        """
+        sides: dict[str, ExtraNotes | MissedNotes] = {"extra": self.extra, "missed": self.missed}
+        counts = {f"{name}_notes": sum(map(len, kinds)) for name, kinds in sides.items()}
+        for name, kinds in sides.items():
+            counts |= {f"{name}_{kind}": len(notes) for kind, notes in kinds._asdict().items()}
+        brushed = sum(note.end - note.start < _BRUSHED for note in self.extra.neighbour)
+        return counts | {"extra_brushed": brushed}
 
 
 def note_errors(written: Iterable[Note], played: Iterable[Note]) -> NoteErrors:
