@@ -136,8 +136,10 @@ def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path
     assert not was.kept
     (job,) = jobs(tmp_path / "a", noisy, 1, least_f1=1.0)
     assert is_complete(job, folder)
-    assert not is_complete(replace(job, least_f1=was.f1), folder)
-    collected(tmp_path / "a", noisy, least_f1=was.f1)
+    assert was.note_onset_f1 < was.f1
+    assert is_complete(replace(job, least_f1=was.f1), folder)
+    assert not is_complete(replace(job, least_f1=was.note_onset_f1), folder)
+    collected(tmp_path / "a", noisy, least_f1=was.note_onset_f1)
     assert read_facts(folder).kept
     before = (folder / RESULT).stat().st_mtime_ns
     collected(tmp_path / "a", noisy, least_f1=1.0)

@@ -44,7 +44,7 @@ class Collect(Options):
     output: Output[Path] = Path("demonstrations")
     """Folder of the episodes, which is extended if it holds some already."""
     least_f1: float = 0.8
-    """Minimum F1 of an episode to be kept. Others are only counted."""
+    """Minimum F1 and note onset F1 of an episode to be kept. Others are only counted."""
     variation: Flat[Variation] = field(default_factory=Variation)
     task: Flat[TaskConfig] = field(default_factory=collecting_task)
     num_threads: int = 1

@@ -71,7 +71,7 @@ class EpisodeJob(BenchJob):
     command: ClassVar[str] = "cadenza dataset collect"
     spec: EpisodeSpec
     page: bool = False
-    least_f1: float = 0.0  # minimum F1 of an episode to be recorded
+    least_f1: float = 0.0  # minimum F1 and note onset F1 of an episode to be recorded
 
 
 class Demonstrator(NamedTuple):
@@ -188,7 +188,8 @@ def _perturbed_agent(setup: Setup, noise: float, spec: EpisodeSpec, folder: Path
 
 
 def _is_good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
-    return (metrics["f1"] or 0.0) >= job.least_f1 and not metrics["unstable"]
+    scores = (metrics[name] or 0.0 for name in ("f1", "note_onset_f1"))
+    return min(scores) >= job.least_f1 and not metrics["unstable"]
 
 
 def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
