@@ -20,7 +20,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.arguments import one_or_more, parser_for
-from benchmarks.robustness import DISTURBANCES, Disturbance, disturbed_task
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
@@ -34,7 +33,9 @@ from cadenza.evaluation.tables import write_csv
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.scene.randomization import SCALED_FIELDS
+from cadenza.tasks.config import DomainRandomization, TaskConfig
+from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.setups import setup_named
 from cadenza.tasks.view import View
 
@@ -49,7 +50,15 @@ _NAMES = (
 )
 PIECES: dict[str, Callable[[], Score]] = {name: partial(load_score, name) for name in _NAMES}
 _OF_A_ROW = "setting", "piece", "disturbance", "seed"
-NOTHING, _, SLIGHT, STRONG, MODEL = DISTURBANCES
+NOTHING = "nothing"
+_SCALED = SCALED_FIELDS.keys() - {"force_limit", "key_travel"}  # nor sizes and limits
+_MODEL: dict[str, Any] = dict.fromkeys(_SCALED, (0.9, 1.1))
+DISTURBANCES = {
+    NOTHING: DomainRandomization(),
+    "1 % noise on controls": DomainRandomization(control_noise=0.01),
+    "5 % noise on controls": DomainRandomization(control_noise=0.05),
+    "model off by 10 %": DomainRandomization(**_MODEL),
+}
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,7 @@ class Setting:
     task: TaskConfig = field(default_factory=TaskConfig)
     open_loop: bool = False
     """Whether actions are replayed that the agent chose without a disturbance."""
-    disturbances: tuple[Disturbance, ...] = (NOTHING,)
+    disturbances: Collection[str] = (NOTHING,)
 
 
 def _nominal() -> Agent:
@@ -71,13 +80,12 @@ def _nominal() -> Agent:
 _ARM = setup_named("arm-allegro")
 ARMS = replace(SceneConfig(), **_ARM.of(SceneConfig))
 TIME = replace(TaskConfig(), **_ARM.of(TaskConfig))
-ALL = (NOTHING, SLIGHT, STRONG, MODEL)
 SETTINGS: dict[str, Setting] = {
-    "planner": Setting(Planner, disturbances=ALL),
-    "planner-played-back": Setting(Planner, open_loop=True, disturbances=ALL),
-    "nominal": Setting(_nominal, disturbances=ALL),
-    "nominal-played-back": Setting(_nominal, open_loop=True, disturbances=ALL),
-    "stitched": Setting(Stitched, disturbances=ALL),
+    "planner": Setting(Planner, disturbances=DISTURBANCES),
+    "planner-played-back": Setting(Planner, open_loop=True, disturbances=DISTURBANCES),
+    "nominal": Setting(_nominal, disturbances=DISTURBANCES),
+    "nominal-played-back": Setting(_nominal, open_loop=True, disturbances=DISTURBANCES),
+    "stitched": Setting(Stitched, disturbances=DISTURBANCES),
     "arm-icp": Setting(ICP, ARMS, TIME),
     "arm-search": Setting(partial(ICP, ICPConfig("found")), ARMS, TIME),
     "arm-unrehearsed": Setting(partial(ICP, ICPConfig(rehearse=False)), ARMS, TIME),
@@ -111,10 +119,11 @@ class Timed(Agent):
 
 
 def played(
-    setting: Setting, score: Score, disturbance: Disturbance, seed: int, agent: Agent | None = None
+    setting: Setting, score: Score, disturbance: str, seed: int, agent: Agent | None = None
 ) -> tuple[dict[str, Any], Array]:
     """Figures of a performance, and its actions (T, A)."""
-    task = disturbed_task(score, setting.task, disturbance, setting.scene)
+    config = replace(setting.task, randomization=DISTURBANCES[disturbance])
+    task = PianoTask([score], config, setting.scene)
     timed = Timed(agent or setting.agent())
     with threadpool_limits(1):
         result = play_episode(task, timed, seed)
@@ -139,7 +148,7 @@ def rows(name: str, seeds: int, known: Collection[tuple[str, ...]]) -> Iterator[
         for seed in range(seeds):
             plan: Agent | None = None
             for disturbance in setting.disturbances:
-                of = name, piece, disturbance.name, str(seed)
+                of = name, piece, disturbance, str(seed)
                 if of in known:
                     continue
                 if setting.open_loop and plan is None:

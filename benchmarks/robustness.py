@@ -1,122 +1,74 @@
-"""Measures how robust plans are against other starts, noisy controls and another model.
+"""Measures agents under disturbances that they do not know.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.robustness SONG ... [--seeds N] [--agents A ...]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.robustness [SONG ...] [--seeds N]
+        [--agents AGENT ...] [-o docs/results]
 
-Prints a table in Markdown. Closed loop: the agent sees how the hands really are. Open
-loop: its actions without a disturbance are recorded and replayed.
+An agent is a name, or NAME=FOLDER of a policy or of practice, where {song} stands for the song.
+Writes robustness.csv, a row for each play, from which it goes on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import Any
-
-import numpy as np
+import csv
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
 
 from benchmarks.arguments import one_or_more, parser_for
-from cadenza.agents.agent import Agent, Array
-from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.planner import Planner
-from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
-from cadenza.music.libraries.library import load_score
-from cadenza.music.score import Score
-from cadenza.scene.config import SceneConfig
-from cadenza.scene.randomization import SCALED_FIELDS
-from cadenza.tasks.config import DomainRandomization, TaskConfig
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.evaluation.tables import write_csv
+from cadenza.performing.setup import find_player, set_up
+from cadenza.tasks.config import DomainRandomization
 
-SCALED = SCALED_FIELDS.keys() - {"force_limit", "key_travel"}  # nor sizes and limits
-AGENTS: dict[str, Callable[[], Agent]] = {
-    "refined": Planner,
-    "nominal": lambda: Planner(PlannerConfig(method="none")),
+SONGS = "MinuetInG", "TwinkleTwinkleLittleStar"
+OFF = (0.8, 1.2)
+DISTURBANCES = {
+    "nothing": DomainRandomization(),
+    "5 % noise on controls": DomainRandomization(control_noise=0.05),
+    "actions 20 ms late": DomainRandomization(latency=(0.02, 0.02)),
+    "masses, gains, springs, damping off by 20 %": DomainRandomization(
+        mass=OFF, servo_gain=OFF, key_spring=OFF, joint_damping=OFF
+    ),
+    "noise of joints 0.02 rad, of slides 2 mm": DomainRandomization(
+        joint_noise=0.02, slide_noise=0.002
+    ),
 }
+METRICS = "note_onset_f1", "f1"
 
 
-@dataclass(frozen=True)
-class Disturbance:
-    """A disturbance of hands, controls or model."""
-
-    name: str
-    start: float = 0.0
-    """The hands start up to this far to the left or right [m]."""
-    noise: float = 0.0
-    """Standard deviation of the noise on every control, in units of half its range."""
-    model: float = 0.0
-    """Parameters of the model are off by up to this share, drawn for each episode."""
-
-
-DISTURBANCES = (
-    Disturbance("nothing"),
-    Disturbance("hands start within 5 cm", start=0.05),
-    Disturbance("1 % noise on controls", noise=0.01),
-    Disturbance("5 % noise on controls", noise=0.05),
-    Disturbance("model off by 10 %", model=0.1),
-)
-
-
-def disturbed_task(
-    score: Score,
-    config: TaskConfig,
-    disturbance: Disturbance,
-    scene: SceneConfig | None = None,
-) -> PianoTask:
-    """The task with disturbed hands, controls and model."""
-    factors = (1.0 - disturbance.model, 1.0 + disturbance.model)
-    model: Any = dict.fromkeys(SCALED, factors)
-    randomization = DomainRandomization(**model, control_noise=disturbance.noise)
-    disturbed = replace(config, random_hand_position=disturbance.start, randomization=randomization)
-    return PianoTask([score], disturbed, scene)
-
-
-def played_with(
-    score: Score, config: TaskConfig, disturbance: Disturbance, agent: Agent, seed: int
-) -> tuple[tuple[float, float], Array]:
-    """F1 and note onset F1, and the actions (T, A) that the agent chose."""
-    performance = play_episode(disturbed_task(score, config, disturbance), agent, seed)
-    metrics = performance.metrics
-    return (metrics["f1"], metrics["note_onset_f1"]), performance.episode.arrays["action"]
-
-
-def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: int) -> Iterator[str]:
-    """A row of the table for each disturbance, means and least over the seeds."""
-    nothing = DISTURBANCES[0]
-    plans = [played_with(score, config, nothing, agent(), seed)[1] for seed in range(seeds)]
-    for disturbance in DISTURBANCES:
-        scores = np.array(
-            [
-                [
-                    played_with(score, config, disturbance, player, seed)[0]
-                    for player in (agent(), Playback(plan))
-                ]
-                for seed, plan in enumerate(plans)
-            ]
-        )
-        figures = zip(scores.mean(axis=0), scores[..., 0].min(axis=0), strict=True)
-        cells = " | ".join(
-            f"{f1:.3f} · {onset:.3f} | {least:.3f}" for (f1, onset), least in figures
-        )
-        yield f"{disturbance.name} | {cells} |"
+def played(song: str, agent: str, disturbance: DomainRandomization, seed: int) -> dict[str, str]:
+    """The `METRICS` of an agent that plays a song in its task, but disturbed."""
+    player = find_player(agent, song)
+    disturbed = player.playing_in(replace(player.task, randomization=disturbance), None)
+    with set_up(song, disturbed, seed=seed) as ready:
+        metrics = play_episode(ready.task, ready.agent, seed).metrics
+    return {name: str(metrics[name]) for name in METRICS}
 
 
 @errors_in_a_line()
 def main() -> None:
-    """Plays and prints, agent by agent."""
+    """Plays, and writes after each play."""
     parser = parser_for(__doc__)
-    parser.add_argument("songs", nargs="+", help="bundled pieces or MIDI files")
-    parser.add_argument("--seeds", type=one_or_more, default=5)
-    parser.add_argument("--agents", nargs="+", choices=AGENTS, default=["refined"])
-    parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
+    parser.add_argument("songs", nargs="*", default=SONGS, help="bundled pieces or MIDI files")
+    parser.add_argument("--seeds", type=one_or_more, default=4)
+    parser.add_argument("--agents", nargs="+", default=["planner", "generalist"])
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/results"))
     options = parser.parse_args()
-    config = TaskConfig(initial_buffer_time=options.initial_buffer_time)
-    print("| song | agent | disturbance | closed loop | least | open loop | least |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
-    for song in options.songs:
-        for name in options.agents:
-            for row in rows(load_score(song), config, AGENTS[name], options.seeds):
-                print(f"| {song} | {name} | {row}", flush=True)
+    table, rows = options.output / "robustness.csv", list[dict[str, str]]()
+    if table.exists():
+        with table.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    done = {tuple(row.values())[: -len(METRICS)] for row in rows}
+    places, seeds = [*DISTURBANCES], range(options.seeds)
+    for name, agent, song, seed in product(places, options.agents, options.songs, seeds):
+        title, _, folder = agent.partition("=")
+        if (name, title, song, str(seed)) in done:
+            continue
+        scores = played(song, folder.format(song=song) or title, DISTURBANCES[name], seed)
+        rows.append({"disturbance": name, "agent": title, "song": song, "seed": str(seed)} | scores)
+        print(*rows[-1].values(), flush=True)
+        write_csv(table, sorted(rows, key=lambda row: places.index(row["disturbance"])))
 
 
 if __name__ == "__main__":

@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
+import csv
 import sys
 
 import mujoco
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
-from benchmarks import limits, planners
+from benchmarks import limits, planners, robustness
 from benchmarks.drills import succeeds
-from benchmarks.robustness import (
-    DISTURBANCES,
-    SCALED,
-    Disturbance,
-    disturbed_task,
-    played_with,
-    rows,
-)
-from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, ZeroAgent
-from cadenza.agents.playback import Playback
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
-from numbered import finger
 
 
 class Clock:
@@ -132,44 +123,17 @@ def test_faster_jumps_and_better_fingers_hold_more(monkeypatch, capsys):
     assert (f1 <= 1).all()
 
 
-TUNE = Score(
-    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 3.0, 76, finger=finger(3))), (), "A tune"
-)
-
-
-def test_the_model_is_off_by_as_much_and_differs_by_seed():
-    task = disturbed_task(TUNE, TaskConfig(), Disturbance("", model=0.1))
-    masses = []
-    for seed in (0, 1):
-        task.reset([np.random.default_rng(seed)], [0])
-        assert task.drawn.keys() == {*SCALED, "seed"}
-        masses.append(task.drawn["mass"].copy())
-    assert 0.9 <= masses[0].min() < 0.92 < 1.08 < masses[0].max() <= 1.1
-    assert (masses[0] != masses[1]).all()
-
-
-def test_noise_alone_leaves_the_model():
-    task = disturbed_task(TUNE, TaskConfig(), Disturbance("", noise=0.05))
-    task.reset([np.random.default_rng(0)], [0])
-    assert task.drawn.keys() == {"seed"}
-
-
-def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared():
-    disturbance = Disturbance("", start=0.05)
-    plan = played_with(TUNE, TaskConfig(), DISTURBANCES[0], ZeroAgent(), 0)[1]
-    starts = []
-    for seed in (0, 1):
-        task = disturbed_task(TUNE, TaskConfig(), disturbance)
-        task.reset([np.random.default_rng(seed)], [0])
-        starts.append(task.state.hand_qpos[0].copy())
-    assert np.abs(starts[0] - starts[1]).max() > 1e-3
-    _, replayed = played_with(TUNE, TaskConfig(), disturbance, Playback(plan), 0)
-    assert_array_equal(replayed, plan)
-
-
-def test_a_row_for_each_disturbance():
-    table = list(rows(TUNE, TaskConfig(), ZeroAgent, seeds=1))
-    assert [row.split(" | ")[0] for row in table] == [
-        disturbance.name for disturbance in DISTURBANCES
-    ]
-    assert all(row.count("|") == 5 for row in table)
+def test_a_row_for_each_disturbance_that_is_not_there_yet(tmp_path, monkeypatch):
+    write_midi(Score((Note(0.0, 0.3, 72), Note(0.3, 0.6, 76))), tmp_path / "tune.mid")
+    head = "disturbance,agent,song,seed,note_onset_f1,f1\n"
+    (tmp_path / "robustness.csv").write_text(f"{head}nothing,planner,tune.mid,0,0.5,0.25\n")
+    monkeypatch.chdir(tmp_path)
+    command = ["robustness", "tune.mid", "--seeds", "1", "-o", ".", "--agents"]
+    monkeypatch.setattr(sys, "argv", [*command, "planner", "nobody=zero"])
+    robustness.main()
+    with open("robustness.csv", newline="") as file:
+        kept, *rows = csv.DictReader(file)
+    assert kept["f1"] == "0.25"
+    played = [(name, who) for name in robustness.DISTURBANCES for who in ("planner", "nobody")]
+    assert [(row["disturbance"], row["agent"]) for row in rows] == played[1:]
+    assert all((float(row["note_onset_f1"]) == 0) == (row["agent"] == "nobody") for row in rows)

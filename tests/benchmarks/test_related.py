@@ -13,7 +13,7 @@ from cadenza.scene.config import SceneConfig
 def short(tmp_path, monkeypatch):
     tune = Score((Note(0.0, 0.3, 72),), (), "A tune")
     setting = related.Setting(
-        RandomAgent, SceneConfig(hands="right"), open_loop=True, disturbances=related.ALL
+        RandomAgent, SceneConfig(hands="right"), open_loop=True, disturbances=related.DISTURBANCES
     )
     monkeypatch.setattr(related, "PIECES", {"tune": lambda: tune})
     monkeypatch.setattr(related, "SETTINGS", {"waving": setting})
@@ -24,9 +24,7 @@ def test_what_is_known_is_not_measured_again():
     for row in related.rows("waving", 1, known=()):
         write_csv(related.RESULTS, [*related.read(), row])
     table = related.read()
-    assert [row["disturbance"] for row in table] == [
-        disturbance.name for disturbance in related.ALL
-    ]
+    assert [row["disturbance"] for row in table] == [*related.DISTURBANCES]
     known = {(r["setting"], r["piece"], r["disturbance"], r["seed"]) for r in table[:3]}
     (missing,) = related.rows("waving", 1, known)
     kept = [name for name in missing if not name.endswith("cpu_seconds")]
