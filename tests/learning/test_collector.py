@@ -64,7 +64,9 @@ class Watched(PianoTask):
         discount = np.where(result.terminated, 0.0, 1.0)
         self.log += zip(before, ctrl.copy(), result.reward, discount, after, strict=True)
         for env in np.flatnonzero(result.terminated | result.truncated):
-            self.finished.append(Finished(self.episode_metrics(env)["f1"], float(self.total[env])))
+            metrics = self.episode_metrics(env)
+            scores = metrics["f1"], metrics["note_onset_f1"]
+            self.finished.append(Finished(*scores, float(self.total[env])))
         return result
 
 

@@ -188,6 +188,7 @@ def test_figures_come_at_their_interval(undisturbed):
     # 48 steps at random, then two updates with every eight steps.
     assert [row["updates"] for row in rows] == [2 * max(row["step"] - 48, 0) // 8 for row in rows]
     assert all(np.isfinite(row["train/critic_loss"]) for row in rows[1:])
+    assert 0 <= rows[-1]["episodes/note_onset_f1"] <= 1
     assert 0 <= rows[-1]["episodes/f1"] <= 1
 
 

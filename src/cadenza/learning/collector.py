@@ -19,6 +19,7 @@ class Finished(NamedTuple):
     """An episode that ended while gathering experience."""
 
     f1: float
+    note_onset_f1: float  # NaN where no notes are counted: on a device
     total_reward: float
 
 
@@ -94,10 +95,11 @@ class Collector:
         if self._replay is not None:
             self._replay.act(action, self._reward, result.terminated)
         ended = np.flatnonzero(result.terminated | result.truncated)
-        finished = [
-            Finished(self._task.episode_metrics(env)["f1"], float(self._return[env]))
-            for env in ended.tolist()
-        ]
+        finished = []
+        for env in ended.tolist():
+            metrics = self._task.episode_metrics(env)
+            scores = metrics["f1"], metrics["note_onset_f1"]
+            finished.append(Finished(*scores, float(self._return[env])))
         final = None
         if finished:
             self._observe(ended)  # the last of an episode, then the first of the next

@@ -1,5 +1,6 @@
 """Rollouts of the task on JAX's device; no array crosses to the host within one."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -78,7 +79,8 @@ class DeviceRollouts(RolloutExperience):
             learner, state, self._progress, num_steps, jax.random.key(seed)
         )
         ended, f1, returns, unstable = (np.asarray(values) for values in ends)
-        finished = list(map(Finished, f1[ended].tolist(), returns[ended].tolist()))
+        scores = zip(f1[ended].tolist(), returns[ended].tolist(), strict=True)
+        finished = [Finished(f1, math.nan, total) for f1, total in scores]
         return rollout, finished, {"unstable": float(unstable.mean())}
 
     def _rollout(

@@ -35,6 +35,7 @@ from cadenza.music.score import Score
 from cadenza.resumable import Arrays
 
 _EPISODES_AVERAGED = 100  # in a row of metrics
+_OF_EPISODES = "f1", "note_onset_f1", "return"  # names of the fields of `Finished` there
 _RANDOM_EPISODES = 8  # episodes of a song per evaluation, if the task is randomised
 
 
@@ -44,7 +45,7 @@ class _Progress:
 
     best: dict[str, float | None]  # the row of the best evaluation
     collector: dict[str, Any]
-    finished: tuple[tuple[float | None, float | None], ...]
+    finished: tuple[tuple[float | None, float | None, float | None], ...]
     replay: tuple[Chunk, ...]
     # Pairs of a step, and the last step of the run as set then
     ends: tuple[tuple[Count, Count], ...]
@@ -173,11 +174,9 @@ class Training(CheckpointedRun):
             for name, values in metrics.items()
             if not np.isnan(values).all()  # no update has had one
         }
-        if self._finished:
-            row["episodes/f1"] = float(np.mean([episode.f1 for episode in self._finished]))
-            row["episodes/return"] = float(
-                np.mean([episode.total_reward for episode in self._finished])
-            )
+        for name, values in zip(_OF_EPISODES, zip(*self._finished, strict=True), strict=False):
+            if not np.isnan(values).all():
+                row[f"episodes/{name}"] = float(np.mean(values))
         return row | {"updates": self._updates}
 
     def _evaluate(self) -> None:
@@ -226,7 +225,9 @@ class Training(CheckpointedRun):
         progress = _Progress(
             best={name: finite(value) for name, value in self.best.items()},
             collector=self._experience.state()[0],
-            finished=tuple((finite(f1), finite(total)) for f1, total in self._finished),
+            finished=tuple(
+                (finite(f1), finite(onsets), finite(total)) for f1, onsets, total in self._finished
+            ),
             replay=self._experience.save(self.step),
             ends=self._ends,
             threads=self._learner.num_threads,

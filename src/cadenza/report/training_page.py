@@ -17,6 +17,7 @@ from cadenza.report.performance_page import settings_table
 _SCORES = {"eval/f1": "F1", "eval/note_onset_f1": "Note onset F1"}
 _OTHERS = {
     "eval/return": "Return",
+    "episodes/note_onset_f1": "Note onset F1 of training episodes",
     "episodes/f1": "F1 of training episodes",
     "episodes/return": "Return of training episodes",
     "train/critic_loss": "Critic loss",
@@ -31,7 +32,7 @@ _OTHERS = {
 }
 """Columns -> titles of their charts, the small ones below the scores."""
 _UNITS = {
-    **dict.fromkeys((*_SCORES, "episodes/f1"), "share"),
+    **dict.fromkeys((*_SCORES, "episodes/f1", "episodes/note_onset_f1"), "share"),
     "train/critic_loss": "log",
     "train/value_loss": "log",
     "train/temperature": "log",
