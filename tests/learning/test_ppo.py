@@ -217,11 +217,12 @@ def test_both_engines_give_the_same_rollouts_and_updates(both):
         for seed in range(2):
             rollout, finished, metrics = kind.rollout(learner, state, 12, seed)
             state, updates = learner.update(state, rollout, rows)
-            rollouts.append((rollout, np.array(finished), metrics, updates))
+            totals = np.array([(episode.f1, episode.total_reward) for episode in finished])
+            rollouts.append((rollout, totals, metrics, updates))
         states.append((state, rollouts))
     assert_trees_close(*states)
-    (_, [(rollout, finished, *_), _]), _ = states
-    assert rollout.ended.sum() == len(finished) == 2
+    (_, [(rollout, totals, *_), _]), _ = states
+    assert rollout.ended.sum() == len(totals) == 2
     assert (rollout.value_at_end != 0).tolist() == rollout.ended.tolist()
 
 
