@@ -37,7 +37,7 @@ from cadenza.tasks.goal_track import GoalTrack, players_of
 
 Array = NDArray[np.float64]
 
-TASK = TaskConfig(initial_buffer_time=0.0, repeats="published")
+TASK = TaskConfig(initial_buffer_time=0.0)
 DT = TASK.control_timestep
 WINDOW = 2.0  # [s] in which one fingering is held to
 WAYS = np.linspace(0.0, 0.6, 25)  # [m] of jumps
