@@ -30,12 +30,19 @@ Row = dict[str, str]
 HEADINGS = {
     "bass": "bass played",
     "cpu_per_music": "CPU time / music",
+    "extra_again": "own key again",
+    "extra_brushed": "of these brushed",
+    "extra_neighbour": "extra: neighbours",
     "extra_notes": "extra notes in 100",
+    "extra_off_time": "late or early",
+    "extra_other": "others",
     "f1": "F1",
     "f1_high": "to",
     "f1_low": "95 % from",
     "melody": "melody played",
+    "missed_held": "still down",
     "missed_notes": "missed in 100",
+    "missed_silent": "missed: silent",
     "note_onset_f1": "note onset F1",
     "note_onset_f1_high": "to",
     "note_onset_f1_low": "95 % from",
@@ -51,7 +58,7 @@ HEADINGS = {
 DECIMALS = {
     **dict.fromkeys(("robots", "songs"), 0),
     **{"cpu_per_music": 2, "onset_error": 1, "onset_error_ms": 1, "velocity_error": 1},
-    **dict.fromkeys(("extra_notes", "missed_notes"), 1),
+    **{name: 1 for name in HEADINGS if name.startswith(("extra_", "missed_"))},
     **dict.fromkeys(("robot_hand", "robot_finger", "pianist_finger"), 2),
 }
 NAMES = {
