@@ -25,10 +25,12 @@ import rl_examples
 from numpy.testing import assert_array_equal
 from rl_examples import TINY, melody
 
+import cadenza
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.files import ANY, read_tensors
+from cadenza.learning.algorithms.ppo.config import PPOConfig
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy, remarks_on
 from cadenza.learning.problem import problem_of
@@ -180,6 +182,24 @@ def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(runs, 
     train(CONFIG, run)
     about = remarks_on(run.path / "best")
     assert (about["eval/f1"], about["eval/steps"]) == (0.7, 13)
+
+
+ON_POLICY = {
+    "learner": PPOConfig(hidden_sizes=(16,), batch_size=8),
+    "learning_starts": 0,
+    "buffer_size": TrainingConfig.buffer_size,
+}
+
+
+@pytest.mark.parametrize("options", [{}, ON_POLICY], ids=["droq", "ppo"])
+def test_reward_terms_of_ones_own_are_gathered_and_evaluated(options, tmp_path):
+    config = replace(CONFIG, **options)
+    terms = {"seven": lambda outcome: np.full(len(outcome.ctrl), 7.0)}
+    metrics = cadenza.train(SONG, tmp_path, config, reward_terms=terms).metrics
+    assert metrics["eval/reward/seven"] == 7 * metrics["eval/steps"] > 0
+    assert metrics["episodes/return"] > metrics["eval/reward/seven"] / 2  # others are penalties
+    with pytest.raises(CadenzaError, match="reward terms seven and cannot be resumed"):
+        RunFolder(tmp_path).settings()
 
 
 def test_figures_come_at_their_interval(undisturbed):

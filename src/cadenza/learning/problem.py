@@ -1,6 +1,6 @@
 """The problem of a training run: songs as a task, observations of a policy, and its actions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cadenza.agents.agent import Progress, silent
@@ -13,6 +13,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import available_cores
 from cadenza.tasks.augmentation import draws_pitch
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.reward import RewardTerm
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Problem:
     inputs: Inputs  # the entries of the observation that the policy is given
     reference: Reference | None  # the performance that a residual policy corrects
     ranges: Ranges | None  # the scale of joints and actions, if not the task's
+    reward_terms: Mapping[str, RewardTerm] | None  # the user's own
 
     @property
     def scene(self) -> SceneConfig:
@@ -46,7 +48,8 @@ class Problem:
 
     def evaluation_task(self, score: Score, num_envs: int) -> PianoTask:
         """Environments that all play this song."""
-        return PianoTask([score], self.config.task, self.scene, num_envs)
+        terms = self.reward_terms
+        return PianoTask([score], self.config.task, self.scene, num_envs, reward_terms=terms)
 
 
 def problem_of(
@@ -54,10 +57,12 @@ def problem_of(
     scores: Sequence[Score],
     progress: Progress = silent,
     reference: Reference | None = None,
+    reward_terms: Mapping[str, RewardTerm] | None = None,
 ) -> Problem:
     """The problem of a run with these options, whose task the caller must close.
 
     A residual policy corrects the `reference`, or else a new plan, whose progress is reported.
+    `reward_terms` are as of `PianoTask`.
 
     Raises CadenzaError if a song cannot be played, or an option makes no sense.
     """
@@ -67,7 +72,7 @@ def problem_of(
     num_envs = 1 if on_device else config.num_envs
     threads = available_cores() if on_policy else 1
     scene = replace(config.scene, engine="c")
-    task = PianoTask(scores, config.task, scene, num_envs, threads)
+    task = PianoTask(scores, config.task, scene, num_envs, threads, reward_terms)
     goals = GoalTable(task.spec, task.tracks)
     if config.residual and reference is None:
         reference = reference_of(task, config.seed, config.plan_effort, progress)
@@ -87,4 +92,5 @@ def problem_of(
         inputs,
         reference=reference,
         ranges=ranges_of(task) if config.song_range and task.scene.sides else None,
+        reward_terms=reward_terms,
     )

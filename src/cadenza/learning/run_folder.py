@@ -34,6 +34,7 @@ class _Manifest:
     versions: dict[str, str]
     id: str  # a random name, which no other run has
     learner: str  # the name of the learner
+    reward_terms: tuple[str, ...] = ()  # names of the user's own
 
 
 class RunFolder(ResumableFolder):
@@ -48,8 +49,10 @@ class RunFolder(ResumableFolder):
         super().__init__(path, "cadenza train", LOCKED_OUT)
         self.metrics, self.replay = MetricsLog(path), path / "replay"
 
-    def begin(self, config: TrainingConfig, scores: Sequence[Score]) -> None:
-        """Write down options and songs; raises CadenzaError if the folder holds a run."""
+    def begin(
+        self, config: TrainingConfig, scores: Sequence[Score], reward_terms: tuple[str, ...] = ()
+    ) -> None:
+        """Write down options, songs and names; raises CadenzaError if the folder holds a run."""
         if self.begun:
             raise CadenzaError(
                 f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
@@ -57,7 +60,8 @@ class RunFolder(ResumableFolder):
             )
         songs, learner = tuple(map(WrittenScore.of, scores)), name_of(config.learner)
         manifest = _Manifest(
-            config, songs, installed_versions(_VERSIONS), secrets.token_hex(8), learner
+            *(config, songs, installed_versions(_VERSIONS)),
+            *(secrets.token_hex(8), learner, reward_terms),
         )
         self.write_manifest(asdict(manifest))
 
@@ -86,8 +90,11 @@ class RunFolder(ResumableFolder):
         """The config and the scores, to go on with them.
 
         Raises CadenzaError if the folder holds no run, or one with a hand or a keyboard of a module
-        that is not imported.
+        that is not imported, or with reward terms of the user's own.
         """
+        if terms := self._read().reward_terms:
+            what = f"learns with a program's reward terms {', '.join(terms)}"
+            raise CadenzaError(f"{self.path}: {what} and cannot be resumed; start a new run")
         config, scores = self.description()
         check_modules(config.scene, self.manifest)
         return config, scores

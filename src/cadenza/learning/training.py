@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import defaultdict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -33,6 +33,7 @@ from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.score import Score
 from cadenza.resumable import Arrays
+from cadenza.tasks.reward import RewardTerm
 
 _EPISODES_AVERAGED = 100  # in a row of metrics
 _OF_EPISODES = "f1", "note_onset_f1", "return"  # names of the fields of `Finished` there
@@ -54,15 +55,20 @@ class _Progress:
 
 
 def begin(
-    config: TrainingConfig, scores: Sequence[Score], folder: RunFolder, progress: Progress = silent
+    config: TrainingConfig,
+    scores: Sequence[Score],
+    folder: RunFolder,
+    progress: Progress = silent,
+    reward_terms: Mapping[str, RewardTerm] | None = None,
 ) -> Training:
-    """Begin a run in a folder, and report progress as `problem_of`.
+    """Begin a run in a folder, with progress and reward terms as of `problem_of`.
 
     Raises CadenzaError as `problem_of`, or if the folder holds a run already; no run is begun then.
     """
-    folder.begin(config, scores)
+    folder.begin(config, scores, tuple(reward_terms or ()))
     try:
-        return Training(problem_of(config, scores, progress), folder)
+        problem = problem_of(config, scores, progress, reward_terms=reward_terms)
+        return Training(problem, folder)
     except CadenzaError:
         folder.manifest.unlink()
         raise
@@ -301,7 +307,13 @@ def _experience(
     with extra_packages("gpu", "the engine warp"):
         from cadenza.learning.device_rollouts import DeviceRollouts
         from cadenza.tasks.functional import FunctionalPianoTask
-    own = FunctionalPianoTask(list(problem.scores), config.task, task.scene, config.num_envs)
+    own = FunctionalPianoTask(
+        list(problem.scores),
+        config.task,
+        task.scene,
+        config.num_envs,
+        reward_terms=problem.reward_terms,
+    )
     return DeviceRollouts(config, own, problem.inputs, problem.ranges, rng, sample_rng)
 
 

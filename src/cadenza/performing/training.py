@@ -1,6 +1,6 @@
 """Training of a policy on a song or on several."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from cadenza.learning.training import begin
 from cadenza.music.arrangement import SomeSong, load
 from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Score
+from cadenza.tasks.reward import RewardTerm
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ def train(
     folder: str | Path,
     config: TrainingConfig | None = None,
     *,
+    reward_terms: Mapping[str, RewardTerm] | None = None,
     progress: Progress = silent,
     **options: Any,
 ) -> TrainingResult:
@@ -53,6 +55,8 @@ def train(
         folder: of the run; nothing else may be in it. If the run is killed,
             `cadenza train --resume` continues it from the last checkpoint.
         config: how to train; by default the command's preset "fast".
+        reward_terms: name -> function of a `cadenza.Outcome` that returns (N,), as of `PianoEnv`;
+            a run with some cannot be resumed.
         progress: is called with how far it is, `progress("learning", done, total)`.
         options: fields of `TrainingConfig`, which change `config`.
     """
@@ -61,7 +65,7 @@ def train(
     config = replace(config or preset("fast", residual), **options)
     scores = [load(each).written_for(config.scene.hands).score for each in songs]
     run = RunFolder(Path(folder))
-    with run.locked(), closing(begin(config, scores, run, progress)) as training:
+    with run.locked(), closing(begin(config, scores, run, progress, reward_terms)) as training:
 
         def should_continue() -> bool:
             progress("learning", training.step, config.num_steps)
