@@ -214,9 +214,9 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
         played: what sounded, at the resolution of the physics.
         written: what was to be played, on the same clock.
     """
-    close, off_time = paired_notes(written.notes, played.notes)
-    pairs = close + off_time
     errors = note_errors(written.notes, played.notes)
+    close = errors.pairs
+    pairs = close + list(zip(errors.missed.off_time, errors.extra.off_time, strict=True))
     return {
         **_timing(sorted(pairs, key=lambda pair: pair[0].start)),
         **_loudness(pairs, written),
@@ -225,13 +225,7 @@ def expressive_metrics(played: Score, written: Score) -> dict[str, float | None]
     }
 
 
-def paired_notes(written: Sequence[Note], played: Sequence[Note]) -> tuple[list[Pair], list[Pair]]:
-    """Pairs of notes that begin within 0.05 s, and of what is left, pairs within 0.2 s."""
-    close = matched_notes(written, played, ONSET_TOLERANCE)
-    return close, matched_notes(*without_pairs(written, played, close), SAME_NOTE)
-
-
-def without_pairs(
+def _without_pairs(
     written: Iterable[Note], played: Iterable[Note], pairs: Sequence[Pair]
 ) -> tuple[list[Note], list[Note]]:
     """The written and the played notes that are in no pair; notes are told apart by identity."""
@@ -366,10 +360,10 @@ class NoteErrors(NamedTuple):
 
         `extra_brushed` are those of the neighbours that are shorter than 60 ms.
         """
-        sides: dict[str, ExtraNotes | MissedNotes] = {"extra": self.extra, "missed": self.missed}
-        counts = {f"{name}_notes": sum(map(len, kinds)) for name, kinds in sides.items()}
-        for name, kinds in sides.items():
-            counts |= {f"{name}_{kind}": len(notes) for kind, notes in kinds._asdict().items()}
+        counts = dict.fromkeys(("extra_notes", "missed_notes"), 0)
+        for name, kinds in (("extra", self.extra._asdict()), ("missed", self.missed._asdict())):
+            counts |= {f"{name}_{kind}": len(notes) for kind, notes in kinds.items()}
+            counts[f"{name}_notes"] = sum(map(len, kinds.values()))
         brushed = sum(note.end - note.start < _BRUSHED for note in self.extra.neighbour)
         return counts | {"extra_brushed": brushed}
 
@@ -381,11 +375,12 @@ def note_errors(written: Iterable[Note], played: Iterable[Note]) -> NoteErrors:
     late or early.
     """
     written, played = (sorted(notes, key=attrgetter("start")) for notes in (written, played))
-    pairs, off_time = paired_notes(written, played)
+    pairs = matched_notes(written, played, ONSET_TOLERANCE)
+    off_time = matched_notes(*_without_pairs(written, played, pairs), SAME_NOTE)
     due_notes, sounding_notes = _by_pitch(written), _by_pitch(played)
     missed = MissedNotes([note for note, _ in off_time], [], [])
     extra = ExtraNotes([note for _, note in off_time], [], [], [])
-    written, played = without_pairs(written, played, pairs + off_time)
+    written, played = _without_pairs(written, played, pairs + off_time)
     for note in written:
         earlier = (n for n in sounding_notes[note.pitch] if n.start < note.start - ONSET_TOLERANCE)
         (missed.held if _any_at(note.start, earlier) else missed.silent).append(note)
