@@ -59,11 +59,10 @@ class RunFolder(ResumableFolder):
                 "choose another folder with --output"
             )
         songs, learner = tuple(map(WrittenScore.of, scores)), name_of(config.learner)
-        manifest = _Manifest(
-            *(config, songs, installed_versions(_VERSIONS)),
-            *(secrets.token_hex(8), learner, reward_terms),
+        versions, run_id = installed_versions(_VERSIONS), secrets.token_hex(8)
+        self.write_manifest(
+            asdict(_Manifest(config, songs, versions, run_id, learner, reward_terms))
         )
-        self.write_manifest(asdict(manifest))
 
     def set_end(self, config: TrainingConfig) -> None:
         """Change the number of steps to that of `config`; raises CadenzaError if more differs."""

@@ -67,8 +67,7 @@ def begin(
     """
     folder.begin(config, scores, tuple(reward_terms or ()))
     try:
-        problem = problem_of(config, scores, progress, reward_terms=reward_terms)
-        return Training(problem, folder)
+        return Training(problem_of(config, scores, progress, None, reward_terms), folder)
     except CadenzaError:
         folder.manifest.unlink()
         raise
@@ -307,13 +306,8 @@ def _experience(
     with extra_packages("gpu", "the engine warp"):
         from cadenza.learning.device_rollouts import DeviceRollouts
         from cadenza.tasks.functional import FunctionalPianoTask
-    own = FunctionalPianoTask(
-        list(problem.scores),
-        config.task,
-        task.scene,
-        config.num_envs,
-        reward_terms=problem.reward_terms,
-    )
+    songs, terms = list(problem.scores), problem.reward_terms
+    own = FunctionalPianoTask(songs, config.task, task.scene, config.num_envs, reward_terms=terms)
     return DeviceRollouts(config, own, problem.inputs, problem.ranges, rng, sample_rng)
 
 
