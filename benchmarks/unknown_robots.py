@@ -6,13 +6,14 @@
 Plays the first seconds of each song on robots, by default 0 to 9. Directly, agents know how late
 robots are by their profile. "causes" is the generalist without what differs, one cause after the
 other, which tells what loses most. Writes robot-plays.csv, a row for each song and robot, from
-which it goes on, and robots.csv, with means and 95 % intervals of songs and robots.
+which it goes on, and robots.csv and robot-causes.csv, with means and 95 % intervals of songs and
+robots.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -78,6 +79,11 @@ def directly(
     return play_episode(PianoTask([score], config), DIRECT[agent](), 0).metrics
 
 
+def without(cause: str) -> str:
+    """What the table calls it when the generalist plays without a cause of differences."""
+    return f"generalist, without {cause}"
+
+
 def practised(
     score: Score, nominal: EpisodeResult, profile: Profile, robot: int
 ) -> dict[str, Mapping[str, Any]]:
@@ -92,10 +98,9 @@ def practised(
     return {FIRST: heard, AFTER: there.scored}
 
 
-def summary(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Means with intervals, of robots that have played all songs."""
-    ways = [f"{agent}, directly" for agent in DIRECT]
-    rows, ways = [], [*ways, *(f"generalist, without {cause}" for cause in CAUSES), FIRST, AFTER]
+def summary(plays: list[dict[str, Any]], ways: Sequence[str]) -> list[dict[str, Any]]:
+    """Means with intervals of ways of playing, of robots that have played all songs."""
+    rows = []
     for profile, how in product(PROFILES, ways):
         own = [row for row in plays if (row["profile"], row["how"]) == (profile, how)]
         songs = list(dict.fromkeys(row["song"] for row in own))
@@ -138,7 +143,7 @@ def main() -> None:
             if (profile, song, str(robot), how := f"{agent}, directly") not in done:
                 measured[how] = directly(scores[song], agent, profile, robot)
         for cause in CAUSES if WITHOUT in options.ways else ():
-            if (profile, song, str(robot), how := f"generalist, without {cause}") not in done:
+            if (profile, song, str(robot), how := without(cause)) not in done:
                 measured[how] = directly(scores[song], "generalist", profile, robot, cause)
         if PRACTICE in options.ways and (profile, song, str(robot), AFTER) not in done:
             measured |= practised(scores[song], nominal(song), profile, robot)
@@ -148,7 +153,10 @@ def main() -> None:
             print(*row.values(), *(f"{metrics[name]:.3f}" for name in METRICS), flush=True)
         if measured:
             write_csv(table, plays)
-    write_csv(options.output / "robots.csv", summary(plays))
+    tables = {"robots": [*(f"{agent}, directly" for agent in DIRECT), FIRST, AFTER]}
+    tables["robot-causes"] = ["generalist, directly", *map(without, CAUSES)]
+    for name, hows in tables.items():
+        write_csv(options.output / f"{name}.csv", summary(plays, hows))
 
 
 if __name__ == "__main__":
