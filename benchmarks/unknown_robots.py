@@ -51,7 +51,7 @@ DIRECT: Mapping[str, Callable[[], Agent]] = {
     "practised planner": lambda: Planner(PlannerConfig(effort=1.0)),
     "generalist": Generalist,
 }
-WITHOUT = "causes"
+EACH_CAUSE = "causes"
 PRACTICE, FIRST, AFTER = "practice", "first of ten plays", "after ten plays"
 CAUSES: Mapping[str, tuple[str, ...]] = {
     "delays": ("latency", "observation_latency"),
@@ -71,10 +71,10 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
 
 
 def directly(
-    score: Score, agent: str, profile: Profile, robot: int, without: str | None = None
+    score: Score, agent: str, profile: Profile, robot: int, cause: str | None = None
 ) -> Mapping[str, Any]:
-    """How an agent plays a robot at once, with feedback, without one cause of differences."""
-    same = {name: getattr(DomainRandomization, name) for name in CAUSES.get(without or "", ())}
+    """How an agent plays a robot at once, with feedback, perhaps without a cause of differences."""
+    same = {name: getattr(DomainRandomization, name) for name in CAUSES.get(cause or "", ())}
     config = TaskConfig(randomization=replace(PROFILES[profile], robot=robot, **same))
     return play_episode(PianoTask([score], config), DIRECT[agent](), 0).metrics
 
@@ -125,7 +125,7 @@ def main() -> None:
     parser.add_argument("songs", nargs="*", default=SONGS, help="bundled pieces or MIDI files")
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=["realistic", "harsh"])
     parser.add_argument("--robots", nargs="+", type=int, default=range(10), help="their seeds")
-    ways = [*DIRECT, WITHOUT, PRACTICE]
+    ways = [*DIRECT, EACH_CAUSE, PRACTICE]
     parser.add_argument("--ways", nargs="+", choices=ways, default=ways, help="of playing")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/results"))
@@ -142,7 +142,7 @@ def main() -> None:
         for agent in [way for way in DIRECT if way in options.ways]:
             if (profile, song, str(robot), how := f"{agent}, directly") not in done:
                 measured[how] = directly(scores[song], agent, profile, robot)
-        for cause in CAUSES if WITHOUT in options.ways else ():
+        for cause in CAUSES if EACH_CAUSE in options.ways else ():
             if (profile, song, str(robot), how := without(cause)) not in done:
                 measured[how] = directly(scores[song], "generalist", profile, robot, cause)
         if PRACTICE in options.ways and (profile, song, str(robot), AFTER) not in done:
