@@ -118,9 +118,9 @@ class DomainRandomization:
     """Standard deviation of the normal noise on controls, drawn in each step, as a fraction of half
     the control range. Controls stay in their range."""
     joint_control_noise: float = 0.0
-    """How much greater it is for joints [rad]."""
+    """Standard deviation of further noise on the controls of joints [rad]."""
     slide_control_noise: float = 0.0
-    """How much greater it is for slides [m]."""
+    """Standard deviation of further noise on the controls of slides [m]."""
     seed: int | None = None
     """Seed of all that is drawn, the same in every episode. By default each reset draws a seed with
     the random numbers of its environment."""
