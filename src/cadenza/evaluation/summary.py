@@ -228,7 +228,7 @@ def run_metrics(metrics: Mapping[str, Any], timing: Timing) -> dict[str, float]:
 
 
 def wrong_notes(summary: BenchSummary) -> dict[str, list[str]]:
-    """Of each agent, its `WRONG_NOTES` for every hundred written, means over its runs, as text."""
+    """Means over the runs of each agent of its `WRONG_NOTES` in a hundred written, as text."""
     rows = dict[str, list[str]]()
     for agent in summary.agents:
         own = [run.result.metrics for run in summary.runs if run.agent == agent]

@@ -21,10 +21,10 @@ _MIN_FACTOR = {"mass": 0.01, "key_travel": 0.5, KEY_SOUNDING: 0.1}  # 0 for all 
 _MAX_FACTOR = dict.fromkeys(SCALED_FIELDS, 100.0) | {"key_travel": 2.0, KEY_SOUNDING: 1.0}
 LATENCY, OBSERVATION_LATENCY, SEED = "latency", "observation_latency", "seed"
 BIAS, GRAVITY_TILT = "bias", "gravity_tilt"
-SERVO_RANGES = "speed", "dead_band", "backlash"
-"""What is drawn for servos, from ranges for joints and for slides, such as `joint_speed`."""
-_MAX_OF_SERVOS = dict(zip(SERVO_RANGES, (100.0, 1.0, 1.0), strict=True))
-_MAX = {f"{kind}_{name}": high for name, high in _MAX_OF_SERVOS.items() for kind in _KINDS}
+SERVO_RANGES = {"speed": 100.0, "dead_band": 1.0, "backlash": 1.0}
+"""What is drawn for servos, from ranges for joints and for slides such as `joint_speed`, and the
+maximum of these."""
+_MAX = {f"{kind}_{name}": high for name, high in SERVO_RANGES.items() for kind in _KINDS}
 _MAX |= {LATENCY: 1.0, OBSERVATION_LATENCY: 1.0}  # [s]
 _MAX_NUMBER = {
     "joint_noise": math.pi,  # [rad], half a turn
